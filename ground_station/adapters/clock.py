@@ -1,6 +1,7 @@
 """The only time source of the ground station."""
 
 import time
+from datetime import date
 
 
 def monotonic_s() -> float:
@@ -11,6 +12,11 @@ def monotonic_s() -> float:
 def epoch_us() -> int:
     """Return microseconds since 1970, for time stamps that people read."""
     return time.time_ns() // 1000
+
+
+def local_date() -> date:
+    """Return the date of times that people write without one."""
+    return date.fromtimestamp(epoch_us() / 1e6)
 
 
 def process_cpu_time_s() -> float:

@@ -31,7 +31,7 @@ from companion.core.mission.actions import (
     PublishTrack,
 )
 from companion.core.mission.alerts import Severity
-from companion.core.mission.event_text import DecisionEvent, PhaseEvent
+from companion.core.mission.event_text import DELIVERED, DecisionEvent, PhaseEvent
 from companion.core.mission.events import (
     Event,
     FleetWindReceived,
@@ -89,6 +89,7 @@ class FleetPort:
     """Rejected tracks of neighbours and rejected wind messages."""
     _publication_s: float | None = None
     _publication_phase: str = ""
+    _position_deg: tuple[float, float] | None = None
 
     @classmethod
     def open(
@@ -201,9 +202,11 @@ class FleetPort:
                     EventKind.PHASE, PhaseEvent(action.before, action.now, action.why).text
                 )
             case Decision():
-                decision_text = DecisionEvent(action.kind, action.reason).text
+                decision = DecisionEvent(action.kind, action.reason)
+                if action.kind == DELIVERED and self._position_deg is not None:
+                    decision = DecisionEvent.create_delivery(action.reason, *self._position_deg)
                 promise = {"p_home": clip_probability(action.p_home), "margin_wh": action.margin_wh}
-                self.record_event(EventKind.DECISION, decision_text, **promise)
+                self.record_event(EventKind.DECISION, decision.text, **promise)
             case AlertReport() if action.severity <= Severity.NOTICE:
                 self.member.status_text = action.text
                 self.record_event(EventKind.TEXT, action.text)
@@ -284,12 +287,11 @@ class FleetPort:
     def publish_state_if_due(
         self, phase: str, telemetry: TelemetryState, pilot: Pilot | None = None
     ) -> None:
-        """Publish the state once a second and on each phase change. Subscribe to neighbours near
-        the latest position.
-        """
+        """Publish the state once a second and on each phase change; subscribe near the position."""
         now_s, position = self.member.clock_s(), telemetry.position
         if position is not None:
-            self.member.link.subscribe_near(position.lat_deg, position.lon_deg)
+            self._position_deg = position.lat_deg, position.lon_deg
+            self.member.link.subscribe_near(*self._position_deg)
         if phase == self._publication_phase and not is_due(
             self._publication_s, STATE_INTERVAL_S, now_s
         ):

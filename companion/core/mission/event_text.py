@@ -1,13 +1,14 @@
 """Format of the text of phase and decision events: written onboard, read by desk, map and reports.
 
 Phase: `BEFORE -> NOW: REASON`. Decision: `KIND: REASON`; the reason of a diversion is
-`to SITE: CAUSE`. Names of phases, kinds and sites contain neither `: ` nor ` -> `.
+`to SITE: CAUSE`, that of a delivery `EVIDENCE; released at LAT, LON`. Names of phases, kinds and
+sites contain neither `: ` nor ` -> `.
 """
 
 from typing import NamedTuple
 
-DIVERT = "divert"
-_ARROW, _COLON, _TO = " -> ", ": ", "to "
+DIVERT, DELIVERED = "divert", "delivered"
+_ARROW, _COLON, _TO, _AT = " -> ", ": ", "to ", "; released at "
 
 
 class PhaseEvent(NamedTuple):
@@ -51,6 +52,25 @@ class DecisionEvent(NamedTuple):
     def create_diversion(cls, site: str, cause: str) -> "DecisionEvent":
         """Decide to land at another site."""
         return cls(DIVERT, f"{_TO}{site}{_COLON}{cause}")
+
+    @classmethod
+    def create_delivery(cls, evidence: str, lat_deg: float, lon_deg: float) -> "DecisionEvent":
+        """Confirm the release of the parcel."""
+        return cls(DELIVERED, f"{evidence}{_AT}{lat_deg:.6f}, {lon_deg:.6f}")
+
+    @property
+    def release_evidence(self) -> str:
+        """Evidence of the release of a delivery."""
+        return self.reason.partition(_AT)[0]
+
+    @property
+    def release_position(self) -> tuple[float, float] | None:
+        """Latitude and longitude of a release, degrees; None: not reported."""
+        lat, _, lon = self.reason.partition(_AT)[2].partition(", ")
+        try:
+            return float(lat), float(lon)
+        except ValueError:
+            return None
 
     @property
     def diversion_site(self) -> str | None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from companion.core.mission.actions import LogNote, ReleaseParcel
 from companion.core.mission.alerts import Alert
+from companion.core.mission.event_text import DELIVERED
 from companion.core.mission.events import Event, OrderAccepted, ReleaseFeedback
 from companion.core.mission.jump_watch import JumpType
 from companion.core.pilot.context import FlightContext, LatestAssessment
@@ -102,7 +103,7 @@ class ParcelReleaseController:
         context.estimates.payload_kg = 0.0
         self._assessment.discard()
         self._budget.assess_remaining_if_older(context, 0.0)
-        context.record_decision("delivered", evidence)
+        context.record_decision(DELIVERED, evidence)
         difference_m = abs(context.telemetry.observed.height_difference_m)
         if difference_m > HEIGHT_DOUBT_M:
             context.report_alert(Alert.RELEASED_IN_DOUBT, difference_m=difference_m)

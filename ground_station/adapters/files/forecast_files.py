@@ -59,8 +59,6 @@ def day_in_forecast_wind(
     """
     file = request.file or (folder / day.forecast.file if day.forecast.file else None)
     if file is None:
-        if request.start_s is not None:
-            raise LeewayError("--at: no forecast file, expected one together with --at")
         return day, None
     field = read_forecast(file, day.depot.lat_deg, day.depot.lon_deg)
     reports.append(ImportReport(str(file), "times of a forecast", field.t_s.size))

@@ -7,6 +7,7 @@ from typing import Any
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.import_report import ImportReport
+from ground_station.adapters.clock import local_date
 from ground_station.adapters.files.params import is_json_file, read_json
 from ground_station.adapters.files.table_rows import TextTable, read_text_table
 from ground_station.core.schema.day import DayFilesError, Depot, FileProblem
@@ -54,7 +55,7 @@ def read_order_rows(
         return [], report
     found: OrderRows = []
     for row, cells in table:
-        parsed = parse_order_or_problems(file, row, cells, depot, elevation)
+        parsed = parse_order_or_problems(file, row, cells, depot, elevation, local_date())
         if isinstance(parsed, Order):
             found.append((file, row, parsed))
         else:

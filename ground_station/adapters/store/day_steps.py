@@ -6,12 +6,20 @@ import msgspec
 import sqlalchemy as sa
 
 from companion.core.base.location import Location
-from companion.fleet.messages import CommandAction, CommandStatus, Drive, EventKind, FleetEvent
+from companion.fleet.messages import (
+    CommandAction,
+    CommandStatus,
+    Drive,
+    EventKind,
+    FleetEvent,
+    Withdraw,
+)
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day_plan import PlannedSortie
 from ground_station.core.schema.orders import (
+    AssignmentRow,
     AssignmentState,
     OrderState,
     order_state_after_assignment,
@@ -75,6 +83,22 @@ def is_launch_unanswered(db: sa.Connection, assignment: str) -> bool:
         t.commands.c.answer.is_(None),
     )
     return db.execute(waiting).scalar_one() > 0
+
+
+def withdraw_before_launch(
+    db: sa.Connection, now_us: int, row: AssignmentRow, by: str, reason: str
+) -> None:
+    """Withdraw an assignment on the ground; on a truck the driver's task, too."""
+    if is_mission_withheld(db, row.id):  # its companion has not received it
+        rows.end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason)
+    else:
+        rows.set_assignment_state(db, row.id, AssignmentState.WITHDRAWING, reason)
+        action = Withdraw(assignment=row.id)
+        rows.enqueue_command(db, now_us, f"{row.id}:withdraw", row.vehicle, row.id, action, by)
+    here = t.sorties.c.assignment == row.id
+    if db.execute(sa.select(t.sorties.c.assignment).where(here)).first() is not None:
+        action = Withdraw(assignment=row.id)
+        rows.enqueue_command(db, now_us, f"{row.id}:unput", TRUCK, None, action, by)
 
 
 def mission_with_unconfirmed_withdrawal(db: sa.Connection, vehicle: str) -> str | None:

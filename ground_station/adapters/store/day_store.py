@@ -230,18 +230,7 @@ class DayStore:
             row = rows.lock_assignment_if_in_states(db, assignment, states)
             if row is None or steps.is_launch_unanswered(db, assignment):
                 return False
-            if steps.is_mission_withheld(db, assignment):  # its companion has not received it
-                state = AssignmentState.WITHDRAWN
-                rows.end_assignment(db, self._epoch_us(), row, state, False, reason)
-            else:
-                rows.set_assignment_state(db, assignment, AssignmentState.WITHDRAWING, reason)
-                action = Withdraw(assignment=assignment)
-                self._enqueue_command(
-                    db, f"{assignment}:withdraw", row.vehicle, assignment, action, by
-                )
-            self._enqueue_command(
-                db, f"{assignment}:unput", TRUCK, None, Withdraw(assignment=assignment), by
-            )
+            steps.withdraw_before_launch(db, self._epoch_us(), row, by, reason)
         return True
 
     def order_recovery(self, assignment: str, landing_pad: Location, by: str) -> bool:

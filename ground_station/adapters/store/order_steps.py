@@ -134,6 +134,14 @@ def lock_assignment_if_in_states(
     return None if row is None else assignment_from_database_row(row)
 
 
+def assignment_in_force(db: sa.Connection, order_id: str) -> AssignmentRow | None:
+    """Return the assignment in force of an order."""
+    states = [state.value for state in IN_FORCE]
+    here = t.assignments.c.order_id == order_id, t.assignments.c.state.in_(states)
+    found = db.execute(sa.select(t.assignments).where(*here)).one_or_none()
+    return None if found is None else assignment_from_database_row(found)
+
+
 def set_assignment_state(
     db: sa.Connection, id_: str, state: AssignmentState, reason_text: str
 ) -> None:

@@ -22,7 +22,6 @@ from companion.fleet.messages import (
     FleetEvent,
     Launch,
     Result,
-    Withdraw,
 )
 from ground_station.adapters.store import about_steps as about
 from ground_station.adapters.store import audit_steps as audit
@@ -31,6 +30,7 @@ from ground_station.adapters.store import hold_steps as holds
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.order_changes import changed_order_ids
 from ground_station.adapters.store.restored import apply_outcome
 from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import (
@@ -52,17 +52,20 @@ _OUTBOX = sa.select(t.commands).where(t.commands.c.answer.is_(None), t.commands.
 
 @lru_cache(maxsize=20_000)
 def _decode_order(content: str) -> Order:
-    """Cached: an order's content never changes, and a desk reads all open orders repeatedly."""
+    """Cached by content: a desk reads all open orders repeatedly."""
     return msgspec.json.decode(content, type=Order)
 
 
 @dataclass(frozen=True, slots=True)
 class IntakeResult:
-    """Result of adding orders. `conflicts`: known ids with other content."""
+    """Result of adding orders. `conflicts`: known ids with other content. `kept`: those of `known`
+    that a person has changed since.
+    """
 
     added: tuple[str, ...]
     known: tuple[str, ...]
     conflicts: tuple[str, ...]
+    kept: tuple[str, ...] = ()
 
 
 class Store:
@@ -89,7 +92,9 @@ class Store:
     # --- orders --------------------------------------------------------------------------------
 
     def add_orders_unless_conflict(self, orders: list[Order], by: str = "desk") -> IntakeResult:
-        """Add all orders or, if an id is known with other content, none."""
+        """Add all orders or, if an id is known with other content, none. An order that a person has
+        changed since keeps the change.
+        """
         try:
             return self._add_orders_in_transaction(orders, by)
         except IntegrityError:  # another desk added one of them: now it is known
@@ -103,15 +108,20 @@ class Store:
                 )
             )
             existing = {row.id: row.content for row in found}
+            changed = changed_order_ids(db) if existing else set[str]()
             new_orders: dict[str, str] = {}
             known: list[str] = []
+            kept: list[str] = []
             conflicts: list[str] = []
             for order in orders:
                 content = msgspec.json.encode(order).decode()
                 before = existing.get(order.id, new_orders.get(order.id))
                 if before is None:
                     new_orders[order.id] = content
-                elif before == content:
+                elif _decode_order(before) == order:  # with defaults, or without
+                    known.append(order.id)
+                elif order.id in changed:
+                    kept.append(order.id)
                     known.append(order.id)
                 else:
                     conflicts.append(order.id)
@@ -134,7 +144,7 @@ class Store:
                 subject = f"{first} and {more} more" if more else first
                 audit.add_entry(db, self._epoch_us(), by, "take_orders", subject, "taken")
         added = () if conflicts else tuple(new_orders)
-        return IntakeResult(added, tuple(known), tuple(conflicts))
+        return IntakeResult(added, tuple(known), tuple(conflicts), tuple(kept))
 
     def orders(self, *states: OrderState) -> list[OrderRow]:
         """Return all orders, or those in these states, in order of arrival."""
@@ -321,12 +331,8 @@ class Store:
             row = rows.lock_assignment_if_in_states(db, assignment, states)
             if row is None:
                 return False
-            rows.set_assignment_state(
-                db, assignment, AssignmentState.WITHDRAWING, "withdrawn by the desk"
-            )
-            action = Withdraw(assignment=assignment)
-            id_ = f"{assignment}:withdraw"
-            rows.enqueue_command(db, self._epoch_us(), id_, row.vehicle, assignment, action, by)
+            reason = "withdrawn by the desk"
+            day_steps.withdraw_before_launch(db, self._epoch_us(), row, by, reason)
         return True
 
     def enqueue_command(

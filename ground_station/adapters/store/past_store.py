@@ -289,7 +289,9 @@ def _order_state_changes(
 def _operator_order_state_changes(order_id: str, audit: list[AuditRow]) -> Iterator[_StateChange]:
     for entry in (row.entry for row in audit if row.entry.subject == order_id):
         if entry.deed == "order":
-            yield _StateChange(entry.at_us, OrderState(entry.answer), f"by {entry.who}")
+            state, _, reason = entry.answer.partition(": ")
+            by = ", ".join(filter(None, (reason, f"by {entry.who}")))
+            yield _StateChange(entry.at_us, OrderState(state), by)
         elif entry.deed == "settle":
             settled = ParcelOutcome(entry.answer.partition(",")[0])
             yield _StateChange(

@@ -13,7 +13,6 @@ from ground_station.adapters.store.database import Database
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.order_states import OrderState, ParcelOutcome
 from ground_station.core.schema.orders import (
-    IN_FORCE,
     AssignmentRow,
     AssignmentState,
     assignment_and_order_state_after_outcome,
@@ -45,7 +44,7 @@ def close_order_with_outcome(
             is None
         ):
             return None
-        row = _assignment_in_force(db, order_id)
+        row = rows.assignment_in_force(db, order_id)
         done = (
             ""
             if row is None
@@ -57,16 +56,6 @@ def close_order_with_outcome(
         )
         audit.add_entry(db, now_us, by, "settle", order_id, f"{state_reason}{done}")
     return f"{order_id}: {order.value}{done}"
-
-
-def _assignment_in_force(db: sa.Connection, order_id: str) -> AssignmentRow | None:
-    states = [state.value for state in IN_FORCE]
-    found = db.execute(
-        sa.select(t.assignments).where(
-            t.assignments.c.order_id == order_id, t.assignments.c.state.in_(states)
-        )
-    ).one_or_none()
-    return None if found is None else rows.assignment_from_database_row(found)
 
 
 def _end_settled_assignment(

@@ -31,6 +31,7 @@ SCHEMA = 3
 
 ROSTER_KEY = "roster"  # name in `about` of the desk's signed roster
 IDLE_KEY = "idle"  # name in `about` of the reasons why vehicles get no order
+LATE_KEY = "late"  # name in `about` of the orders that cannot keep their window
 CONFIRM_KEY = "confirm"  # name in `about` of the assignments that wait for a confirmed launch
 EPOCHS_KEY = "epochs"  # name in `about` of the epochs of this store; the last is in force
 DEPOT_KEY = "depot"  # name in `about` of the depot's location; absent on a day with a truck

@@ -59,7 +59,8 @@ class PastDataSources:
 class MapDataSources:
     """Data sources of the page besides the stream; each is called in the server's thread.
 
-    `history(vehicle)` and `reachable_area(vehicle)` return JSON data, or None if unknown. With
+    `history(vehicle)`, `reachable_area(vehicle)` and `order(id)` return JSON data, or None if
+    unknown. With
     `past` the page shows the past and the stream stays silent. Without `access`, commands are
     disabled and every client can see the map.
     """
@@ -70,6 +71,7 @@ class MapDataSources:
     basemap: Path | None = None
     past: PastDataSources | None = None
     access: MapAccess | None = None
+    order: Callable[[str], Any] = lambda order: None
 
 
 class MapServer:
@@ -164,6 +166,7 @@ def _live_routes(sources: MapDataSources) -> list[BaseRoute]:
         Route("/span.json", _json_endpoint(lambda: None)),
         Route("/history.json", _vehicle_json_endpoint(sources.history)),
         Route("/reach.json", _vehicle_json_endpoint(sources.reachable_area)),
+        Route("/order.json", _vehicle_json_endpoint(sources.order, "order")),
     ]
 
 
@@ -230,9 +233,9 @@ def _picture_endpoint(stream: LiveStream) -> Any:
     return respond
 
 
-def _vehicle_json_endpoint(get_data: Callable[[str], Any]) -> Any:
+def _vehicle_json_endpoint(get_data: Callable[[str], Any], key: str = "vehicle") -> Any:
     def respond(request: Request) -> Response:  # in a worker thread: it may take milliseconds
-        return _json_response(get_data(request.query_params.get("vehicle", "")))
+        return _json_response(get_data(request.query_params.get(key, "")))
 
     return respond
 

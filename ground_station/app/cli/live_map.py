@@ -158,6 +158,7 @@ def show_map(
             basemap,
             None,
             map_access,
+            map_source.order_record_of,
         )
         _serve_until_signal(
             server, data_sources, f"the map of {name}", map_source.listen_and_publish_due_picture

@@ -19,7 +19,9 @@ from ground_station.app.cli import (
     ground,
     hold,
     live_map,
+    manifest,
     order,
+    order_changes,
     pki,
     plan,
     ros2,
@@ -108,9 +110,11 @@ def program_options(
 
 app.add_typer(estimate.app)
 app.add_typer(ground.app)
+order_changes.add_commands(order.app)
 app.add_typer(order.app, name="order")
 app.add_typer(dispatch.app)
 app.add_typer(doctor.app)
+app.add_typer(manifest.app)
 app.add_typer(pki.app, name="pki")
 app.add_typer(router.app)
 app.add_typer(hold.app)

@@ -1,7 +1,6 @@
-"""`ground-station order`: add, list, cancel and settle orders."""
+"""`ground-station order`: add, change, list, show, cancel and settle orders."""
 
 import json
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict
@@ -12,7 +11,18 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.import_report import ImportReport
-from companion.core.base.safe_text import safe_text
+from ground_station.app.cli.order_changes import (
+    SIGNED_OPTIONS,
+    Address,
+    Customer,
+    Note,
+    OrderId,
+    Phone,
+    PriorityOption,
+    ServiceTime,
+    Window,
+    typed_cells,
+)
 from ground_station.app.options.desk_options import (
     StrictImport,
     desk_options,
@@ -28,13 +38,10 @@ if TYPE_CHECKING:
     from ground_station.core.schema.day_data import DayData
     from ground_station.core.schema.orders import Order
 
-OrderId = Annotated[str, typer.Argument(help="Id of the order, for example H-101.")]
-SIGNED_OPTIONS = command_class_with_options("store", "store_file", "user", "identity")
-
 app = typer.Typer(
     no_args_is_help=True,
     help=(
-        "Add, list, cancel and settle orders.\n\n"
+        "Add, change, list, cancel and settle orders.\n\n"
         "ground-station order import harbour --store sqlite:///desk.db"
     ),
 )
@@ -50,29 +57,33 @@ def add(
     service: Annotated[
         Service, typer.Option(help="Vehicle type that may deliver it.")
     ] = Service.ANY,
-    note: Annotated[str, typer.Option(help="Free text note.")] = "",
+    customer: Customer = None,
+    phone: Phone = None,
+    address: Address = None,
+    window: Window = None,
+    priority: PriorityOption = None,
+    service_time: ServiceTime = None,
+    note: Note = None,
 ) -> None:
     """Add one order to the store, for `dispatch` (not `plan`). Adding it again changes nothing.
 
     ground-station order add H-109 --lat 55.468 --lon 8.441 --alt 12 --mass 0.4
     """
-    import msgspec
+    from ground_station.adapters.clock import local_date
+    from ground_station.core.schema.order_parsing import order_from_cells
 
-    from ground_station.core.schema.orders import Order
-
-    table = {
-        "id": order_id,
-        "lat_deg": lat,
-        "lon_deg": lon,
-        "alt_amsl_m": alt,
-        "mass_kg": mass,
-        "service": service.value,
-        "note": safe_text(note),
-    }
-    try:
-        order = msgspec.convert(table, Order)
-    except msgspec.ValidationError as error:
-        raise LeewayError(f"order {order_id!r}: {error}") from error
+    place = {"lat_deg": lat, "lon_deg": lon, "alt_amsl_m": alt, "mass_kg": mass}
+    cells = {"id": order_id, "service": service.value, **{k: repr(v) for k, v in place.items()}}
+    cells |= typed_cells(
+        customer=customer,
+        phone=phone,
+        address=address,
+        window=window,
+        priority=priority and priority.value,
+        service_s=None if service_time is None else repr(service_time),
+        note=note,
+    )
+    order = order_from_cells(cells, None, None, local_date())
     with desk_options().operator_and_store(create=True) as (by, order_store):
         add_orders_and_print_count(order_store, [order], by)
 
@@ -168,29 +179,28 @@ def list_(
     state: Annotated[OrderState | None, typer.Option(help="Only orders in this state.")] = None,
 ) -> None:
     """List the orders with their states."""
-    from ground_station.app.views.terminal import plain_console, plain_table
+    from ground_station.app.views.order_view import order_list
+    from ground_station.app.views.terminal import plain_console
 
     with closing(desk_options().open_store()) as order_store:
-        rows = order_store.orders() if state is None else order_store.orders(state)
-    table = plain_table("order", "kg", "service", "state", "flights", "reason")
-    for row in rows:
-        order = row.order
-        cells = (order.id, f"{order.mass_kg:g}", order.service.value, row.state.value)
-        table.add_row(*cells, str(row.attempts), row.reason)
+        table, counts = order_list(order_store, state)
     plain_console().print(table)
-    counts = Counter(row.state.value for row in rows)
     typer.echo(", ".join(f"{n} {name}" for name, n in counts.items()) or "no orders")
 
 
 @app.command(cls=SIGNED_OPTIONS)
 def cancel(
     order_id: OrderId,
+    reason: Annotated[str, typer.Option(help="Recorded in the history.")],
 ) -> None:
-    """Cancel an order that is not assigned to a vehicle."""
+    """Cancel an order that is not assigned to a vehicle.
+
+    ground-station order cancel H-101 --reason "customer asked"
+    """
     from ground_station.app.desk.operator_commands import cancel_order
 
     with desk_options().operator_and_store() as (by, store):
-        result = cancel_order(store, order_id, by)
+        result = cancel_order(store, order_id, by, reason)
     for text in result.messages:
         typer.echo(text)
 

@@ -77,7 +77,8 @@ def plan(
         str | None,
         typer.Option(
             metavar="TIME",
-            help="Departure of the truck, for example 2026-07-01T15:10Z; required with --forecast."
+            help="Departure of the truck, for example 2026-07-01T15:10Z; required with --forecast;"
+            " delivery windows count from it (default: now)."
             " Each sortie is planned in the wind of its own time, and launch windows are printed.",
         ),
     ] = None,
@@ -134,7 +135,7 @@ def plan(
     require_options_not_given(context, ("jobs", "cluster"), "expected with --trucks")
     if len(days) > 1:
         raise LeewayError("plan: expected one DAY, or --trucks for each")
-    data = _read_day_with_forecast(days[0], forecast, at, strict=strict)
+    data = _with_start_if_windows(_read_day_with_forecast(days[0], forecast, at, strict=strict), at)
     enable_compile_cache_and_print_notice(console)
     day_plan = _run_planner(console, data, policy, trials, seed)
     print_plan_tables(console, data, day_plan)
@@ -168,6 +169,23 @@ def _read_day_with_forecast(
         raise LeewayError("--forecast: expected --at TIME, the departure of the truck")
     start_s = None if at is None else parse_utc_time_s(at)
     return read_day_and_warn(day, forecast=forecast, start_s=start_s, strict=strict)
+
+
+def _with_start_if_windows(data: "DayData", at: str | None) -> "DayData":
+    """Return the day with its start, if orders have delivery windows."""
+    from dataclasses import replace
+
+    from ground_station.adapters.clock import epoch_us
+    from ground_station.adapters.files.forecast_files import parse_utc_time_s
+    from ground_station.app.views.times import format_date_and_time
+
+    if all(order.window == (None, None) for order in data.orders):
+        if at is not None and data.forecast is None:
+            raise LeewayError("--at: expected a forecast file, or orders with delivery windows")
+        return data
+    start_us = epoch_us() if at is None else round(1e6 * parse_utc_time_s(at))
+    typer.echo(f"delivery windows: the truck leaves at {format_date_and_time(start_us)} (--at)")
+    return replace(data, start_us=start_us)
 
 
 def _run_planner(

@@ -52,6 +52,8 @@ def divide_and_plan_days(
         raise LeewayError(f"--trucks: {len(trucks)} for {len(days)} days: expected one for each")
     paths = [resolve_day_file_path(day) for day in days]
     data = [read_day_and_warn(str(path), strict=strict) for path in paths]
+    if any(order.window != (None, None) for one in data for order in one.orders):
+        console.print("delivery windows: not planned with --trucks; dispatch waits for their start")
     regions = divide_days_among_trucks(data, trucks)
     out.mkdir(parents=True, exist_ok=True)
     source = [path for path, count in zip(paths, trucks, strict=True) for _ in range(count)]

@@ -23,7 +23,8 @@ from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.day_plan import DayPlan, PlannedStop
 from ground_station.core.schema.day_state import DayState
-from ground_station.core.schema.orders import OrderRow
+from ground_station.core.schema.order_changes import needs_new_plan
+from ground_station.core.schema.orders import Order, OrderRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +48,14 @@ class _Request:
     reason: ReplanReason
     previous_forecast: Forecast
     """Forecast in force before the request."""
+    orders: list[Order]
+    """Orders of the request."""
 
 
 @dataclass(slots=True)
 class ActivePlan:
     """Current `plan` and `data`. `request_or_adopt_plan` replaces both,
-    `replace_orders_if_count_changed` replaces the data; `version` counts the replacements.
+    `replace_orders_if_changed` replaces the data; `version` counts the replacements.
     """
 
     day: DayStore
@@ -65,9 +68,12 @@ class ActivePlan:
     """All stops of all plans of the day, each with every pad that any plan assigned to it."""
     last_attempt: ReplanAttempt = field(default_factory=ReplanAttempt)
     version: int = 0
+    _planned_orders: list[Order] = field(init=False)
+    """Orders on which the active plan is based."""
     _request: _Request | None = None
 
     def __post_init__(self) -> None:
+        self._planned_orders = self.data.orders
         wind = self.day.measured_wind_of_last_plan()
         if wind is not None:
             self.data = self._data_with_forecast(wind)
@@ -84,11 +90,24 @@ class ActivePlan:
         day = msgspec.structs.replace(self.data.day, forecast=wind)
         return replace(self.data, day=day)
 
-    def replace_orders_if_count_changed(self, orders: list[OrderRow]) -> None:
-        """Add orders that the store has accepted since the last call to the day's data."""
-        if len(orders) != len(self.data.orders):
-            self.data = replace(self.data, orders=[row.order for row in orders])
+    def replace_orders_if_changed(self, rows: list[OrderRow]) -> None:
+        """Update the day's data to the orders of the store: people add and change orders."""
+        orders = [row.order for row in rows]
+        if orders != self.data.orders:
+            self.data = replace(self.data, orders=orders)
             self.version += 1
+
+    @property
+    def changed_order_ids(self) -> frozenset[str]:
+        """Orders that a person has changed since the active plan, in a way that plans depend on."""
+        if self.data.orders is self._planned_orders:
+            return frozenset()
+        before = {order.id: order for order in self._planned_orders}
+        return frozenset(
+            order.id
+            for order in self.data.orders
+            if before.get(order.id, order) != order and needs_new_plan(before[order.id], order)
+        )
 
     def adopt_later_plan(self, stored_plan: DayPlan | None) -> None:
         """Adopt the store's latest plan if another desk of this day has published a later one."""
@@ -97,7 +116,7 @@ class ActivePlan:
         wind = self.day.measured_wind_of_last_plan()
         if wind is not None:
             self.data = self._data_with_forecast(wind)
-        self.plan = stored_plan
+        self.plan, self._planned_orders = stored_plan, self.data.orders
         self.version += 1
         self._add_stops_and_pads(stored_plan)
         self.log(f"plan {stored_plan.revision} in force, made by another desk")
@@ -154,9 +173,11 @@ class ActivePlan:
         if reason.cause.is_wind_related:
             self._set_forecast(forecast_from_measured_wind(wind))
         self.log(f"replanning: {reason.text}")
-        self._request = _Request(snapshot, reason, wind)
+        self._request = _Request(snapshot, reason, wind, self.data.orders)
         data = replace(
-            data_with_returned_orders_by_truck(self.data, snapshot), forecast=followed_forecast
+            data_with_returned_orders_by_truck(self.data, snapshot),
+            forecast=followed_forecast,
+            start_us=snapshot.start_us,
         )
         self.replanner.start_planning(data, self._state_fixed_by_promises(snapshot))
 
@@ -217,7 +238,7 @@ class ActivePlan:
         if in_force.revision < delayed_plan.revision:
             self.log("new plan discarded: it lacks a stop where another desk assigned a landing")
             return
-        self.plan = in_force
+        self.plan, self._planned_orders = in_force, request.orders
         self.version += 1
         self._add_stops_and_pads(in_force)
         unplanned_text = f", {len(result.unplanned)} orders unplanned" if result.unplanned else ""

@@ -135,6 +135,12 @@ class DayTracker:
             open_orders=rows.open_orders,
             sorties=rows.sorties,
             truck_assignments=rows.truck_assignments,
+            changed_orders=self.active.changed_order_ids,
+            opens_s={
+                order.id: (order.earliest_us - start_us) / 1e6
+                for order in self.active.data.orders
+                if order.earliest_us is not None
+            },
             stop_times=rows.stop_times,
             replanning=self.active.is_replanning,
             plan_created_s=max(0.0, (rows.plan_stored_us - start_us) / 1e6),
@@ -188,7 +194,7 @@ class DayTracker:
 
     def _read_store_rows(self, now_s: float) -> _StoreRows:
         orders = self.store.orders()
-        self.active.replace_orders_if_count_changed(orders)
+        self.active.replace_orders_if_changed(orders)
         plan_stored_us = self.day.active_plan_stored_at_us()
         if plan_stored_us != self._plan_stored_us:
             self.active.adopt_later_plan(self.day.active_plan())

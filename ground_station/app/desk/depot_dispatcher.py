@@ -9,7 +9,7 @@ from ground_station.adapters.store.launch_store import count_refused_launches
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.tables import CONFIRM_KEY
 from ground_station.app.desk.dispatcher import CycleResult
-from ground_station.app.desk.idle_reasons import IdleReasons
+from ground_station.app.desk.idle_reasons import IdleReasons, ReasonLog
 from ground_station.app.desk.launch_pacing import LaunchPacing
 from ground_station.app.desk.site.forecast_watch import ForecastMonitor
 from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
@@ -34,6 +34,8 @@ from ground_station.core.site_wind.site_wind import SiteWind
 WIND_CHECK_INTERVAL_S = 30.0
 """Interval of wind checks: each change of the planning wind recomputes all order costs."""
 
+WINDOW_CHECK_INTERVAL_S = 1.0
+
 MAX_REFUSED_LAUNCHES = 3
 """Refused launches after which an assignment is withdrawn for inspection by the operator."""
 
@@ -55,7 +57,8 @@ class DepotParams:
 
 @dataclass(slots=True)
 class DepotDispatcher:
-    """`Dispatcher` for drones that start at the depot and return to it.
+    """`Dispatcher` for drones that start at the depot and return to it. No drop is before the
+    order's window.
 
     `wind`: wind field measured by the fleet; None: the day's forecast applies. `forecast`: monitor
     of the followed forecast. `infeasible_orders`: orders that no drone of the day can deliver; they
@@ -78,11 +81,17 @@ class DepotDispatcher:
     _confirmation_requested: set[str] = field(default_factory=set)
     _layers_are_full: bool = False
     _idle_reasons: IdleReasons = field(init=False)
+    _late_orders: ReasonLog = field(init=False)
+    _next_window_check_s: float = -math.inf
+    _has_later_windows: bool = False
 
     def __post_init__(self) -> None:
         gap_s = self.params.launch_gap_s
         self._pacing = LaunchPacing(self.store, self.clock, self.log, gap_s)
-        self._idle_reasons = IdleReasons(self.store, self.data, self.assigner, self.log)
+        self._idle_reasons = IdleReasons(
+            self.store, self.data, self.assigner, self.log, self.clock.epoch_us
+        )
+        self._late_orders = ReasonLog.of_late_orders(self.store, self.log)
 
     def prepare_first_cycle(self) -> None:
         """Keep the gap between a launch just before a restart and the next one."""
@@ -101,6 +110,9 @@ class DepotDispatcher:
                 self.log(f"{vehicle}: {text}: inspect {vehicle}")
             return
         if not params.orders_launches:
+            return
+        (row,) = self.store.orders_by_id([assignment.order_id])
+        if self.assigner.is_before_window(row.order, self.clock.epoch_us()):
             return
         if params.requires_confirmation and assignment.confirmed_by is None:
             self._log_confirmation_request_once(assignment)
@@ -155,10 +167,24 @@ class DepotDispatcher:
             self._update_planning_wind_if_due()
         has_changed = bool(free) and self._assign_orders(free)
         self._idle_reasons.update_if_due(status, self.clock.monotonic_s())
+        self._check_windows_if_due()
         if has_changed or withdrawn:
             return CycleResult.CHANGED
+        if self._has_later_windows:
+            return CycleResult.ACTIVE
         has_later_launches = self.forecast is not None and self.forecast.has_reopening_orders()
         return CycleResult.ACTIVE if has_later_launches else CycleResult.IDLE
+
+    def _check_windows_if_due(self) -> None:
+        """Report open orders that cannot keep their window."""
+        now_s, now_us = self.clock.monotonic_s(), self.clock.epoch_us()
+        if now_s < self._next_window_check_s:
+            return
+        self._next_window_check_s = now_s + WINDOW_CHECK_INTERVAL_S
+        orders = [row.order for row in self.store.orders(OrderState.OPEN)]
+        late = {order.id: self.assigner.late_text(order, now_us) for order in orders}
+        self._late_orders.publish({id_: text for id_, text in late.items() if text})
+        self._has_later_windows = any((order.earliest_us or 0) > now_us for order in orders)
 
     def _withdraw_forecast_closed_assignments(self) -> bool:
         """Withdraw assignments whose launch the forecast has closed for a long time."""
@@ -228,7 +254,7 @@ class DepotDispatcher:
             priority_orders = self.forecast.priority_order_ids()
             waiting = [row for row in waiting if row.order.id not in closed_orders]
         assignments = self.assigner.assign_orders_to_free_drones(
-            waiting, rows, free_drones, priority_orders
+            waiting, rows, free_drones, priority_orders, self.clock.epoch_us()
         )
         for choice in assignments:
             order, vehicle, layer = choice.order.id, choice.vehicle, choice.layer

@@ -1,10 +1,16 @@
 """Commands of an operator, from the terminal or the map, with the same steps and audit entries."""
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.clock import local_date
+from ground_station.adapters.store import order_changes
+from ground_station.adapters.store.audit_steps import MAX_TEXT_LENGTH
 from ground_station.adapters.store.hold_store import HoldStore
+from ground_station.adapters.store.order_history import delivery_proofs, record_photo
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.settle import SETTLED_FROM
 from ground_station.adapters.store.settle import (
@@ -14,11 +20,14 @@ from ground_station.app.desk.recall import NoVehicleReceivedError, Recaller
 from ground_station.app.desk.recall import recall_and_hold_vehicles as recall_fleet
 from ground_station.app.desk.recall_record import RecallRecord
 from ground_station.core.fleet.fleet_link import FleetLink
+from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.holds import (
     ALL_DRONES,
     hold_of_vehicle_or_of_all,
     raise_if_invalid_vehicle_name,
 )
+from ground_station.core.schema.order_changes import order_cells
+from ground_station.core.schema.order_parsing import order_from_cells
 from ground_station.core.schema.order_states import OrderState, ParcelOutcome
 from ground_station.core.schema.orders import Order
 
@@ -110,6 +119,8 @@ def add_orders(store: Store, orders: list[Order], by: str) -> CommandReport:
         text = ", ".join(result.conflicts)
         raise LeewayError(f"orders {text}: already stored with other content; nothing imported")
     known = f", {len(result.known)} imported before" if result.known else ""
+    if result.kept:
+        known += f", of them {', '.join(result.kept)} changed since by a person: kept as changed"
     return CommandReport([f"{len(result.added)} orders imported{known}"])
 
 
@@ -119,6 +130,48 @@ def cancel_order(store: Store, order_id: str, by: str, reason: str = "") -> Comm
     if not store.change_order_state(order_id, before, after, by, reason):
         raise order_state_error(store, order_id, before)
     return CommandReport([f"{order_id}: {after.value}"])
+
+
+def change_order(
+    store: Store,
+    epoch_us: EpochUs,
+    order_id: str,
+    cells: Mapping[str, str],
+    by: str,
+    data: DayData | None = None,
+) -> CommandReport:
+    """Change the fields of an order that `cells` has, as columns of an order file. LeewayError if
+    a cell is wrong, or the order's state does not permit it. `data`: the day, for ground heights.
+    """
+
+    def changed_order(order: Order) -> Order:
+        moves = {"lat_deg", "lon_deg"} & cells.keys()
+        height = {"alt_amsl_m": ""} if moves and "alt_amsl_m" not in cells else {}
+        window = {"window": ""} if {"window_from", "window_to"} & cells.keys() else {}
+        depot, elevation = (None, None) if data is None else (data.day.depot, data.elevation)
+        all_cells = {**order_cells(order), **height, **window, **cells}
+        return order_from_cells(all_cells, depot, elevation, local_date())
+
+    text = order_changes.change_order(store.database, epoch_us, order_id, changed_order, by)
+    return CommandReport([text])
+
+
+def add_photo(
+    store: Store, epoch_us: EpochUs, order_id: str, photo: Path, by: str
+) -> CommandReport:
+    """Record a photo of a delivery. LeewayError: no such file, or the order is not delivered."""
+    path = photo.resolve()
+    if order_id not in delivery_proofs(store.database, order_id):
+        raise LeewayError(f"order {order_id}: no delivery to prove, expected a delivered order")
+    try:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise LeewayError(f"{photo}: {error.strerror}") from error
+    text = f"photo {path} (SHA-256 {digest})"
+    if len(text) > MAX_TEXT_LENGTH:
+        raise LeewayError(f"{photo}: path too long, expected at most 400 characters")
+    record_photo(store.database, epoch_us(), order_id, text, by)
+    return CommandReport([f"{order_id}: {text}"])
 
 
 def order_state_error(

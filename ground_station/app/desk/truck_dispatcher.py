@@ -14,6 +14,7 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.active_plan import ActivePlan
 from ground_station.app.desk.day_tracker import DayTracker
 from ground_station.app.desk.dispatcher import CycleResult
+from ground_station.app.desk.idle_reasons import ReasonLog
 from ground_station.app.desk.site.forecast_watch import ForecastMonitor
 from ground_station.core.dispatch.day_snapshot import DaySnapshot
 from ground_station.core.dispatch.dispatch_actions import (
@@ -69,11 +70,13 @@ class TruckDispatcher:
     neighbour_keys: NeighbourKeys = no_neighbour_keys
     departure_blockers: list[str] = field(default_factory=list)
     _tracker: DayTracker = field(init=False)
+    _late_orders: ReasonLog = field(init=False)
     _cached_version: int | None = None
     _airspace: Airspace | None = None
     _feasibility: DayFeasibility | None = None
 
     def __post_init__(self) -> None:
+        self._late_orders = ReasonLog.of_late_orders(self.store, self.log)
         self._tracker = DayTracker(
             self.store, self.day, self.active, self.clock, self.wind, self.forecast
         )
@@ -107,6 +110,7 @@ class TruckDispatcher:
         snapshot = tracker.update_snapshot(status)
         truck = snapshot.truck
         self._store_energy_of_finished_sorties(snapshot)
+        self._late_orders.publish(snapshot.late_texts(self.active.data.orders))
         if truck is None:
             return CycleResult.IDLE
         self.active.request_or_adopt_plan(

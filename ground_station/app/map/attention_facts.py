@@ -12,6 +12,7 @@ from ground_station.core.fleet.attention import FleetFacts, LaunchFacts, Vehicle
 from ground_station.core.fleet.fleet_status import FLIGHT_PHASE_NAMES, VehicleStatus
 from ground_station.core.fleet.risk_words import format_reason
 from ground_station.core.fleet.truck_state import TRUCK
+from ground_station.core.schema.order_window import late_text
 from ground_station.core.schema.orders import AssignmentState
 
 
@@ -30,6 +31,7 @@ def fleet_facts(
         launches=_launches(rows, drones),
         stuck=[(order, _stuck_reason(text)) for order, text in stuck_order_texts(rows.orders)],
         idle_reasons={name: format_reason(why) for name, why in rows.idle_reasons.items()},
+        late={**rows.late_orders, **_late_in_flight(snapshot, drones)},
         held={hold.scope for hold in rows.hold_list},
         desk_silence_s=snapshot.desk_silence_s,
         desk_alarm=snapshot.desk_alarm,
@@ -39,6 +41,18 @@ def fleet_facts(
         fronts=snapshot.front_texts,
         stations=snapshot.station_texts,
     )
+
+
+def _late_in_flight(snapshot: MapSnapshot, drones: Mapping[str, DroneShown]) -> dict[str, str]:
+    """Return the orders in the air that are dropped after their window."""
+    late: dict[str, str] = {}
+    for name, drone in drones.items():
+        order = snapshot.store.orders.get(drone.order or "")
+        if order is None or drone.drop_us is None or drone.delivered:
+            continue
+        if text := late_text(order.window, drone.drop_us, f"by {name}"):
+            late[order.id] = text
+    return late
 
 
 def named_places(day: DayShown | None, site: SiteShown) -> dict[str, Point]:

@@ -1,6 +1,6 @@
 """The truck, its plan and the orders, for the map."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from companion.fleet.messages import State
@@ -22,28 +22,32 @@ from ground_station.core.schema.orders import IN_FORCE, Order, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow
 
 
-def orders_shown(rows: DisplayRows) -> dict[str, OrderShown]:
-    """Return all orders, each with the vehicle that delivers it."""
+def orders_shown(rows: DisplayRows, released: Collection[str] = ()) -> dict[str, OrderShown]:
+    """Return all orders, each with the vehicle that delivers it. An order is delivered once the
+    release of its assignment is confirmed (`released`), not at the landing.
+    """
     by = {row.order_id: row for row in rows.assignments if row.state in IN_FORCE}
+    done = {row.order_id for row in by.values() if row.id in released}
     return {
         row.order.id: OrderShown(
             position=(row.order.lat_deg, row.order.lon_deg),
-            state=row.state.value,
+            state=(OrderState.DELIVERED if row.order.id in done else row.state).value,
             mass_kg=row.order.mass_kg,
             vehicle=None if row.order.id not in by else by[row.order.id].vehicle,
             confirmed_by=None if row.order.id not in by else by[row.order.id].confirmed_by,
             reason=format_reason(row.reason),
             note=row.order.note,
-            **_contact_fields(row.order),
+            **_customer_fields(row.order),
         )
         for row in rows.orders
     }
 
 
-def _contact_fields(order: Order) -> dict[str, Any]:
+def _customer_fields(order: Order) -> dict[str, Any]:
     """Return the customer's data that an order has."""
-    names = ("customer", "address", "phone", "priority")
-    return {name: value for name in names if (value := getattr(order, name, None))}
+    names = ("customer", "address", "phone", "earliest_us", "latest_us", "service_s")
+    found = {name: value for name in names if (value := getattr(order, name)) not in (None, "")}
+    return found | {"priority": order.is_urgent}
 
 
 def plan_shown(rows: DisplayRows) -> PlanShown | None:
@@ -85,6 +89,7 @@ def sorties_shown(day: DayShown, order_states: Mapping[str, OrderState]) -> list
             home=one.home,
             launch_us=plan_time_to_epoch_us(day, one.launch_s),
             land_us=plan_time_to_epoch_us(day, one.land_s),
+            drop_us=plan_time_to_epoch_us(day, one.drop_s),
             state="planned",
         )
         for one in day.plan.sorties
@@ -105,6 +110,7 @@ def _flown_sortie_shown(day: DayShown, row: SortieRow) -> SortieShown:
         launch=plan.launch,
         home=row.promised_stop,
         launch_us=row.launched_us,
+        drop_us=row.launched_us + round(1e6 * (plan.drop_s - plan.launch_s)),
         land_us=row.landed_us or (min(expected_us, day.now_us) if is_over else expected_us),
         state=state,
     )

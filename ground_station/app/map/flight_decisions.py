@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from companion.core.mission.event_text import DIVERT, DecisionEvent
+from companion.core.mission.event_text import DELIVERED, DIVERT, DecisionEvent
 from companion.fleet.messages import State
 from ground_station.adapters.store.decision_reader import ReceivedDecision
 
@@ -28,11 +28,16 @@ class FlightDecisions:
 
     _latest_decisions: dict[str, ReceivedDecision] = field(default_factory=dict)
     _landing_decisions: dict[str, ReceivedDecision] = field(default_factory=dict)
+    releases: dict[str, ReceivedDecision] = field(default_factory=dict)
+    """Confirmed releases of parcels, by assignment."""
 
     def record_decision(self, received: ReceivedDecision) -> None:
         """Record a decision; calls are in time order."""
         self._latest_decisions[received.event.vehicle] = received
-        if DecisionEvent.parse(received.event.text).kind in LANDING_DECISION_KINDS:
+        kind = DecisionEvent.parse(received.event.text).kind
+        if kind == DELIVERED and received.event.assignment:
+            self.releases[received.event.assignment] = received
+        if kind in LANDING_DECISION_KINDS:
             self._landing_decisions[received.event.vehicle] = received
 
     def latest_decision_on_flight(self, state: State | None) -> ReceivedDecision | None:

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.clock import epoch_us
+from ground_station.adapters.clock import epoch_us, local_date
 from ground_station.adapters.files.order_files import read_orders
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk import operator_commands
@@ -19,6 +19,7 @@ from ground_station.core.fleet.fleet_link import FleetLink
 from ground_station.core.people.map_command_messages import (
     AddOrder,
     CancelOrder,
+    ChangeOrder,
     ConfirmLaunch,
     HoldDrone,
     ImportOrders,
@@ -31,7 +32,7 @@ from ground_station.core.people.person import DeskOperator
 from ground_station.core.people.web_tokens import command_refusal_reason
 from ground_station.core.schema.day import Depot
 from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.order_parsing import parse_order_or_problems
+from ground_station.core.schema.order_parsing import order_from_cells
 from ground_station.core.schema.order_states import ParcelOutcome
 from ground_station.core.schema.orders import Order, Service
 
@@ -98,11 +99,8 @@ class OperatorCommands:
         return CommandReport([*added.messages, *verdicts])
 
     def _order_of_cells(self, cells: dict[str, str]) -> Order:
-        depot, elevation = (None, None) if self.data is None else (self._depot, self.data.elevation)
-        found = parse_order_or_problems("order", 1, cells, depot, elevation)
-        if isinstance(found, Order):
-            return found
-        raise LeewayError("; ".join(f"{one.column or 'order'}: {one.text}" for one in found))
+        elevation = None if self.data is None else self.data.elevation
+        return order_from_cells(cells, self._depot, elevation, local_date())
 
     def _orders_of_file(self, command: ImportOrders) -> list[Order]:
         with TemporaryDirectory(prefix="leeway-orders-") as folder:
@@ -140,7 +138,7 @@ class OperatorCommands:
 
     def _execute_store_command(
         self,
-        command: HoldDrone | ReleaseDrone | ConfirmLaunch | SettleOrder | CancelOrder,
+        command: HoldDrone | ReleaseDrone | ConfirmLaunch | SettleOrder | ChangeOrder | CancelOrder,
         issuer: str,
     ) -> CommandReport:
         with closing(self.open_store()) as store:
@@ -156,6 +154,10 @@ class OperatorCommands:
                 case ConfirmLaunch():
                     return operator_commands.record_launch_confirmation(
                         store, command.order, issuer
+                    )
+                case ChangeOrder():
+                    return operator_commands.change_order(
+                        store, epoch_us, command.order, command.cells, issuer, self.data
                     )
                 case CancelOrder():
                     return operator_commands.cancel_order(

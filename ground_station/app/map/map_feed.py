@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from companion.core.base.errors import LeewayError
 from ground_station.adapters.store.database import StoreError
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.decision_reader import DecisionReader, ReceivedDecision
@@ -22,6 +23,7 @@ from ground_station.app.map.picture import Point, WindShown
 from ground_station.app.map.wind_shown import wind_field_shown
 from ground_station.app.views.day_content import read_display_rows
 from ground_station.app.views.operator_alerts import expiring_certificates_text
+from ground_station.app.views.order_view import order_record
 from ground_station.app.views.wind_notes import recent_front_texts
 from ground_station.core.fleet.certificate_ends import CertificateExpiry
 from ground_station.core.fleet.fleet_link import Clock
@@ -88,7 +90,9 @@ class MapPublisher:
             wind = self._day.measured_wind_of_last_plan()
             for received in self._decisions.read_new_decisions():
                 self._record_decision(received)
-            self._store_snapshot, self._store_error = StoreSnapshot.from_rows(rows, wind), ""
+            released = self._flights.releases
+            self._store_snapshot = StoreSnapshot.from_rows(rows, wind, released)
+            self._store_error = ""
 
     @contextmanager
     def _suppress_and_record_store_error(self) -> Iterator[None]:
@@ -165,6 +169,13 @@ class MapPublisher:
             if track is None
             else thinned_margin_history_json(list(track.margin_samples.copy()))
         )
+
+    def order_record_of(self, order: str) -> dict[str, Any] | None:
+        """Return an order with its history and proof; None: unknown, or the store is away."""
+        try:
+            return order_record(self._store, order)
+        except LeewayError:
+            return None
 
     def reachable_area_boundary(self, vehicle: str) -> list[Point] | None:
         """Return the ring within which a drone can still land; None: unknown."""

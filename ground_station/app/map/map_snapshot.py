@@ -1,12 +1,13 @@
 """Data of one moment, from which the map's picture is built."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from ground_station.app.map.day_pictured import orders_shown, plan_shown
 from ground_station.app.map.fleet_receiver import VehicleTrack
 from ground_station.app.map.flight_decisions import FlightDecisions
+from ground_station.app.map.manifest import manifest_rows
 from ground_station.app.map.picture import WindShown, to_json_types
 from ground_station.app.views.day_content import DisplayRows
 from ground_station.core.fleet.fleet_status import FleetStatus
@@ -25,11 +26,18 @@ class StoreSnapshot:
     assignments: dict[str, AssignmentRow] = field(default_factory=dict)
 
     @classmethod
-    def from_rows(cls, rows: DisplayRows, wind: Forecast | None) -> "StoreSnapshot":
-        """Build the parts of the picture that depend on the store only, once per reading."""
-        orders = {k: to_json_types(v) for k, v in orders_shown(rows).items()}
-        tables: dict[str, Any] = {"orders": orders}
-        plan = plan_shown(rows)
+    def from_rows(
+        cls, rows: DisplayRows, wind: Forecast | None, released: Collection[str] = ()
+    ) -> "StoreSnapshot":
+        """Build the parts of the picture that depend on the store only, once per reading.
+
+        `released`: assignments whose parcel is confirmed as released.
+        """
+        shown, plan = orders_shown(rows, released), plan_shown(rows)
+        tables: dict[str, Any] = {
+            "orders": {k: to_json_types(v) for k, v in shown.items()},
+            "manifest": [to_json_types(row) for row in manifest_rows(plan, shown)],
+        }
         if plan is not None:
             tables["plan"] = to_json_types(plan)
         return cls(

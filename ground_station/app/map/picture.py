@@ -116,6 +116,10 @@ class OrderShown(_PicturePart, frozen=True, kw_only=True):
     customer: str | None = None
     address: str | None = None
     phone: str | None = None
+    earliest_us: int | None = None
+    """Delivery window."""
+    latest_us: int | None = None
+    service_s: float | None = None
     priority: bool = False
 
 
@@ -140,7 +144,19 @@ class SortieShown(_PicturePart, frozen=True, kw_only=True):
     home: str
     launch_us: int | None = None
     land_us: int | None = None
+    drop_us: int | None = None
     state: str
+
+
+class ManifestRow(_PicturePart, frozen=True, kw_only=True):
+    """A row of the manifest (`ground_station.app.map.manifest`)."""
+
+    stop: str
+    arrive_us: int | None = None
+    leave_us: int | None = None
+    does: str = ""
+    order: str = ""
+    drone: str | None = None
 
 
 class PlanShown(_PicturePart, frozen=True, kw_only=True):

@@ -32,9 +32,12 @@ from ground_station.core.planning.regions import (
 )
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
-from ground_station.core.schema.orders import Order, Service, order_location
+from ground_station.core.schema.order_changes import order_cells
+from ground_station.core.schema.orders import Order, Priority, Service, order_location
 
 ORDER_COLUMNS = ("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note")
+EXTRA_COLUMNS = ("customer", "phone", "address", "window", "priority", "service_s")
+DEFAULTS = ("", Priority.NORMAL.value)
 MAX_FLEET_NAME_LENGTH = 32
 NEIGHBOUR_DISTANCE_M = 2000.0
 """Minimum distance of two regions' convex hulls of straight flights: detours around obstacles and
@@ -239,19 +242,17 @@ def _relative_path(folder: Path, path: Path) -> str:
 def _orders_csv(orders: Sequence[Order]) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(ORDER_COLUMNS)
-    for order in orders:
-        rows.writerow(
-            (
-                order.id,
-                f"{order.lat_deg:.7f}",
-                f"{order.lon_deg:.7f}",
-                f"{order.alt_amsl_m:.2f}",
-                f"{order.mass_kg:g}",
-                order.service.value,
-                order.note,
-            )
-        )
+    cells_of_orders = [order_cells(order) for order in orders]
+    used = [name for name in EXTRA_COLUMNS if any(c[name] not in DEFAULTS for c in cells_of_orders)]
+    rows.writerow((*ORDER_COLUMNS, *used))
+    for order, cells in zip(orders, cells_of_orders, strict=True):
+        cells |= {
+            "lat_deg": f"{order.lat_deg:.7f}",
+            "lon_deg": f"{order.lon_deg:.7f}",
+            "alt_amsl_m": f"{order.alt_amsl_m:.2f}",
+            "mass_kg": f"{order.mass_kg:g}",
+        }
+        rows.writerow([cells[name] for name in (*ORDER_COLUMNS, *used)])
     return text.getvalue()
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.tables import CONFIRM_KEY, IDLE_KEY
+from ground_station.adapters.store.tables import CONFIRM_KEY, IDLE_KEY, LATE_KEY
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, format_minutes_and_seconds
 from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import AssignmentRow, OrderRow
@@ -65,6 +65,8 @@ class DisplayRows:
     day: DayShown | None = None
     hold_list: Sequence[Hold] = ()
     idle_reasons: Mapping[str, str] = field(default_factory=dict)
+    late_orders: Mapping[str, str] = field(default_factory=dict)
+    """Orders that cannot keep their window, with the reason."""
     launch_requests: Sequence[str] = ()
     """Assignments that wait for a confirmed launch."""
 
@@ -78,4 +80,5 @@ def read_display_rows(store: Store, day: DayStore, now_us: int) -> DisplayRows:
     idle = store.database.about_value(IDLE_KEY, dict[str, str]) if plan is None else None
     requests = store.database.about_value(CONFIRM_KEY, list[str]) if plan is None else None
     holds = store.holds_in_force()
-    return DisplayRows(assignments, store.orders(), shown, holds, idle or {}, requests or [])
+    late = store.database.about_value(LATE_KEY, dict[str, str]) or {}
+    return DisplayRows(assignments, store.orders(), shown, holds, idle or {}, late, requests or [])

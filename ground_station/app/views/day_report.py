@@ -5,6 +5,7 @@ from collections import Counter
 from statistics import fmean, median
 from typing import Any
 
+import msgspec
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -13,9 +14,12 @@ from companion.core.base.probability import home_probability_text
 from companion.core.mission.alerts import Alert, is_text_of_any_alert
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.day_store import DayStore
+from ground_station.adapters.store.order_history import delivery_proofs
 from ground_station.adapters.store.order_store import Store
+from ground_station.app.views.order_view import proof_text
 from ground_station.app.views.terminal import plain_table
-from ground_station.core.schema.orders import OVERRIDE_OUTCOME, OrderState
+from ground_station.core.schema.order_window import format_window
+from ground_station.core.schema.orders import OVERRIDE_OUTCOME, DeliveryProof, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
 FIGURE_LABELS = {
@@ -34,6 +38,8 @@ def day_report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
     orders, assignments = store.orders(), store.assignments()
     commands, events = store.commands(), store.events()
     outcomes = _first_outcome_events(events)
+    proofs = delivery_proofs(store.database)
+    delivered = [(row, proofs[row.order.id]) for row in orders if row.order.id in proofs]
     margins = [e.margin_wh for e in outcomes if e.margin_wh is not None]
     p_home = [e.p_home for e in events if e.p_home is not None and e.assignment]
     return {
@@ -53,6 +59,17 @@ def day_report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
         "monitors": sorted(_monitor_alert_texts(events)),
         "held": [hold.text for hold in store.holds_in_force()],
         "by_vehicle": _flight_statistics_by_vehicle(outcomes),
+        "windows": _count_windows(delivered),
+        "proofs": [
+            {
+                "order": row.order.id,
+                "customer": row.order.customer,
+                "window": format_window(row.order.window),
+                "kept": _window_outcome(row, proof),
+                **msgspec.to_builtins(proof),
+            }
+            for row, proof in delivered
+        ],
         "left": [
             {"order": row.order.id, "state": row.state.value, "why": row.reason}
             for row in orders
@@ -60,6 +77,21 @@ def day_report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
         ],
         **(_truck_statistics(day) if day is not None else {}),
     }
+
+
+def _count_windows(delivered: list[tuple[OrderRow, DeliveryProof]]) -> dict[str, int]:
+    found = (_window_outcome(row, proof) for row, proof in delivered)
+    return dict(Counter("late" if "late" in one else one for one in found if one))
+
+
+def _window_outcome(row: OrderRow, proof: DeliveryProof) -> str:
+    """Return how a delivery kept its window; empty: it has none."""
+    earliest_us, latest_us = row.order.window
+    if latest_us is not None and proof.at_us > latest_us:
+        return f"{math.ceil((proof.at_us - latest_us) / 60e6)} min late"
+    if earliest_us is not None and proof.at_us < earliest_us:
+        return "early"
+    return "kept" if row.order.window != (None, None) else ""
 
 
 def _truck_statistics(day: DayStore) -> dict[str, Any]:
@@ -158,7 +190,7 @@ def report_tables(report: dict[str, Any]) -> RenderableType:
     """Return the figures as tables."""
     table = plain_table("what", "figure", title="the day")
     for name, value in report.items():
-        if name in ("format", "deliveries_by_vehicle", "by_vehicle", "left"):
+        if name in ("format", "deliveries_by_vehicle", "by_vehicle", "proofs", "left"):
             continue
         if isinstance(value, dict):
             value = ", ".join(f"{n} {key}" for key, n in sorted(value.items())) or "none"
@@ -170,7 +202,16 @@ def report_tables(report: dict[str, Any]) -> RenderableType:
             value = f"{value:.4g}"
         label = FIGURE_LABELS.get(name, name.replace("_", " "))
         table.add_row(label, "-" if value is None else str(value))
-    return Group(table, _vehicles_table(report["by_vehicle"]), *_undelivered_lines(report["left"]))
+    proofs = plain_table("order", "customer", "window", "proof of delivery")
+    for row in report["proofs"]:
+        window = " ".join(filter(None, (row["window"], row["kept"])))
+        proofs.add_row(row["order"], row["customer"], window, proof_text(row))
+    return Group(
+        table,
+        _vehicles_table(report["by_vehicle"]),
+        *([proofs] if report["proofs"] else []),
+        *_undelivered_lines(report["left"]),
+    )
 
 
 def _vehicles_table(by_vehicle: dict[str, dict[str, Any]]) -> Table:

@@ -18,6 +18,7 @@ from ground_station.core.schema.day_plan import (
     SkippedPart,
     format_minutes_and_seconds,
 )
+from ground_station.core.schema.order_window import late_text
 
 
 def print_plan_tables(console: Console, data: DayData, plan: DayPlan) -> None:
@@ -61,11 +62,30 @@ def print_plan_tables(console: Console, data: DayData, plan: DayPlan) -> None:
         f" (accepted probability of losing a drone: {data.day.mission.max_loss:g} per flight)",
         highlight=False,
     )
+    if late := late_orders_of_plan(data, plan):
+        late_table = plain_table("order", "delivery window that cannot be kept")
+        for order, text in late.items():
+            late_table.add_row(order, text)
+        console.print(late_table)
     if plan.unplanned:
         unplanned_table = plain_table("order", "reason", "possible with")
         for line in plan.unplanned:
             unplanned_table.add_row(line.order, line.reason, line.remedy)
         console.print(unplanned_table)
+
+
+def late_orders_of_plan(data: DayData, plan: DayPlan) -> dict[str, str]:
+    """Return the orders that the plan delivers after their window, with the reason."""
+    start_us, times_s = data.start_us, plan.delivery_times_s()
+    if start_us is None:
+        return {}
+    texts = {
+        order.id: late_text(order.window, start_us + round(1e6 * at_s), how)
+        for order in data.orders
+        if order.id in times_s
+        for at_s, how in [times_s[order.id]]
+    }
+    return {order: text for order, text in texts.items() if text}
 
 
 def planned_imports(reports: Iterable[ImportReport]) -> list[ImportedFile]:

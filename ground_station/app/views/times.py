@@ -3,6 +3,11 @@
 from datetime import UTC, datetime
 
 
+def format_local_time(epoch_us: int) -> str:
+    """Format as 16:03 in this machine's zone, for print."""
+    return datetime.fromtimestamp(epoch_us / 1e6, tz=UTC).astimezone().strftime("%H:%M")
+
+
 def format_time_of_day(epoch_us: int) -> str:
     """Format as 14:03:05Z, followed by the local time if it differs."""
     return _format_utc_and_local(epoch_us, "%H:%M:%S")

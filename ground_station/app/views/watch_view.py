@@ -54,7 +54,16 @@ def watch_view(
         alarm_lines += alarms
         if (reason := rows.idle_reasons.get(name)) and line.status.instance_ids:
             alarm_lines += [f"{name}: no order: {reason}"]
-    counts = Counter(row.state.value for row in orders)
+    released = {
+        row.order_id
+        for row in assignments.values()
+        if (state := status.status_of(row.vehicle).state)
+        and (state.assignment, state.delivered) == (row.id, True)
+    }
+    alarm_lines += [f"{order}: {reason}" for order, reason in rows.late_orders.items()]
+    counts = Counter(
+        (OrderState.DELIVERED if row.order.id in released else row.state).value for row in orders
+    )
     title = ", ".join(f"{n} {name}" for name, n in sorted(counts.items())) or "no orders"
     table = _vehicle_table(f"{title}; {day.plan_and_time_title}" if day else title, lines)
     lines_below = [

@@ -1,10 +1,12 @@
 """Snapshot of a day with a truck: rows of the store and status of the fleet."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
-from ground_station.core.schema.orders import AssignmentRow, AssignmentState
+from ground_station.core.schema.order_window import late_text
+from ground_station.core.schema.orders import AssignmentRow, AssignmentState, Order
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
 CLOSED_PREFIX = "closed by the forecast"
@@ -48,14 +50,16 @@ class DroneStatus:
 class DaySnapshot:
     """Snapshot of the day; `now_s` counts from the start of the day.
 
-    `open_orders`: orders without an assignment. `truck_assignments`: the driver's own deliveries.
-    `replanning`: a new plan is being computed. `last_replan_s`: time of the end of the last
-    re-planning, `last_replan_key`: its `plan_inputs_comparison_key`. `pad_wait_s`: by assignment,
-    how long a drone on its pad has not been ready. `wind_deviation_sigmas`: distance of the
-    measured wind from the planned one, in the forecast's standard deviations. `desk_start_s`: start
-    of this desk. `drones_on_hold`: drones under a hold. `closed_assignments`: assignments on the
-    ground whose launch the forecast has closed for the rest of the day, with the reason.
-    `plan_closing_text`: the part of the plan that the forecast closes; empty: none.
+    `open_orders`: orders without an assignment; `changed_orders`: changed since the plan, which
+    must not be delivered by it; `opens_s`: start of delivery windows, by order.
+    `truck_assignments`: the driver's own deliveries. `replanning`: a new plan is being computed.
+    `last_replan_s`: time of the end of the last re-planning, `last_replan_key`: its
+    `plan_inputs_comparison_key`. `pad_wait_s`: by assignment, how long a drone on its pad has not
+    been ready. `wind_deviation_sigmas`: distance of the measured wind from the planned one, in the
+    forecast's standard deviations. `desk_start_s`: start of this desk. `drones_on_hold`: drones
+    under a hold. `closed_assignments`: assignments on the ground whose launch the forecast has
+    closed for the rest of the day, with the reason. `plan_closing_text`: the part of the plan that
+    the forecast closes; empty: none.
     """
 
     now_s: float
@@ -66,6 +70,8 @@ class DaySnapshot:
     open_orders: frozenset[str]
     sorties: tuple[SortieRow, ...]
     truck_assignments: tuple[AssignmentRow, ...]
+    changed_orders: frozenset[str] = frozenset()
+    opens_s: Mapping[str, float] = field(default_factory=dict)
     stop_times: Mapping[str, StopTimes] = field(default_factory=dict)
     replanning: bool = False
     plan_created_s: float = 0.0
@@ -77,6 +83,38 @@ class DaySnapshot:
     drones_on_hold: frozenset[str] = frozenset()
     closed_assignments: Mapping[str, str] = field(default_factory=dict)
     plan_closing_text: str = ""
+
+    def is_before_window(self, order: str, after_s: float = 0.0) -> bool:
+        """Return whether a delivery in `after_s` would be before the order's window."""
+        return self.now_s + after_s < self.opens_s.get(order, -math.inf)
+
+    def is_due(self, order: str) -> bool:
+        """Return whether the driver may deliver an order now."""
+        return order in self.due_orders and not self.is_before_window(order)
+
+    def must_wait(self, row: SortieRow) -> bool:
+        """Return whether a launch waits for a hold, or for the order's window."""
+        out_s = row.sortie.drop_s - row.sortie.launch_s
+        is_early = self.is_before_window(row.sortie.order, out_s)
+        return row.vehicle in self.drones_on_hold or is_early
+
+    def late_texts(self, orders: Iterable[Order]) -> dict[str, str]:
+        """Return by open order how late it is for its window, by the plan and the truck's delay."""
+        times_s, delay_s = self.plan.delivery_times_s(), max(0.0, self.truck_delay_s())
+        late: dict[str, str] = {}
+        for order in orders:
+            if order.latest_us is None or order.id not in self.open_orders & times_s.keys():
+                continue
+            planned_s, how = times_s[order.id]
+            at_s = max(planned_s + delay_s, self.now_s)
+            if text := late_text(order.window, self.start_us + round(1e6 * at_s), how):
+                late[order.id] = text
+        return late
+
+    @property
+    def due_orders(self) -> frozenset[str]:
+        """Open orders that the plan may deliver."""
+        return self.open_orders - self.changed_orders
 
     def drone_status(self, vehicle: str) -> DroneStatus:
         """Return the status of a drone; the default status if no state was received."""
@@ -132,7 +170,7 @@ class DaySnapshot:
         """Return the planned sorties that are not assigned yet, in order of launch."""
         assigned = [row.sortie for row in self.sorties]
         remaining = [
-            s for s in self.plan.sorties if s.order in self.open_orders and s not in assigned
+            s for s in self.plan.sorties if s.order in self.due_orders and s not in assigned
         ]
         return sorted(remaining, key=lambda s: s.launch_s)
 

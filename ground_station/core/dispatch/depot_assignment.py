@@ -30,6 +30,7 @@ from ground_station.core.feasibility.reach import (
 from ground_station.core.planning.day_problem import MAX_HEIGHT_AGL_M
 from ground_station.core.schema.day import Day, Drone, Forecast
 from ground_station.core.schema.elevation import SiteElevation
+from ground_station.core.schema.order_window import late_text
 from ground_station.core.schema.orders import (
     IN_FORCE,
     AssignmentRow,
@@ -63,6 +64,9 @@ class DroneAssignment:
     launch_position: Location | None = None
 
 
+LOADING_S = 60.0
+"""[est] Time from an assignment to its launch: planning, upload, checks, confirmation."""
+
 _DroneKind = tuple[str, float | None, float, float]
 """Airframe, temperature, health and charge of a drone; they determine feasibility."""
 
@@ -89,10 +93,10 @@ class DepotAssigner:
         self._feasibility_by_kind: dict[_DroneKind, SortieFeasibility] = {
             _kind_of(r.drone): r for r in self._feasibility.values()
         }
-        self._order_ned: dict[str, Ned] = {}
-        self._sortie_needs: dict[tuple[str, str, int], SortieNeed] = {}
+        self._order_ned: dict[Order, Ned] = {}
+        self._sortie_needs: dict[tuple[str, Order, int], SortieNeed] = {}
         self.layers = DepotLayers(day.mission, MAX_HEIGHT_AGL_M)
-        self._feasible_when_full: dict[tuple[_DroneKind, str], bool] = {}
+        self._feasible_when_full: dict[tuple[_DroneKind, Order], bool] = {}
 
     def set_wind_and_clear_caches(self, wind: Forecast) -> None:
         """Compute all needs in this wind from now on."""
@@ -109,14 +113,20 @@ class DepotAssigner:
         assignments: list[AssignmentRow],
         free_drones: list[FreeDrone],
         priority_orders: Sequence[str] = (),
+        now_us: int | None = None,
     ) -> list[DroneAssignment]:
         """Return new assignments for free drones, at most one order each; `priority_orders`: orders
         that take precedence over nearer ones, in this order.
+
+        Then urgent orders precede, then the earliest end of a window that can be kept at `now_us`.
+        An order is not assigned long before its window; None: windows are not considered.
         """
         waiting = [
             row.order
             for row in orders
-            if row.state is OrderState.OPEN and row.order.service is not Service.TRUCK
+            if row.state is OrderState.OPEN
+            and row.order.service is not Service.TRUCK
+            and not (now_us and self.is_before_window(row.order, now_us, LOADING_S))
         ]
         refused = {
             (row.order_id, row.vehicle)
@@ -128,10 +138,45 @@ class DepotAssigner:
         distance_m_by_order = {
             order.id: math.hypot(*self.order_ground_ned(order)[:2]) for order in waiting
         }
-        waiting.sort(key=lambda o: (rank.get(o.id, last), distance_m_by_order[o.id], o.id))
+
+        def precedence(o: Order) -> tuple[object, ...]:
+            end_us = self._end_of_window_if_kept(o, now_us)
+            return rank.get(o.id, last), not o.is_urgent, end_us, distance_m_by_order[o.id], o.id
+
+        waiting.sort(key=precedence)
         return self._assign_orders_in_given_order(
             waiting, refused, list(free_drones), _occupied_layers(assignments)
         )
+
+    def drop_us(self, order: Order, now_us: int, loading_s: float = 0.0) -> int | None:
+        """Return the earliest drop of an order that is launched in `loading_s`; None: no drone can
+        deliver it.
+        """
+        needs = (
+            self._cached_depot_sortie_need(order, feasibility)
+            for feasibility in self._feasibility_by_kind.values()
+            if self._is_feasible_when_full(order, feasibility)
+        )
+        drop_s = min((need.drop_s for need in needs), default=None)
+        return None if drop_s is None else now_us + round(1e6 * (loading_s + drop_s))
+
+    def is_before_window(self, order: Order, now_us: int, loading_s: float = 0.0) -> bool:
+        """Return whether an order that is launched in `loading_s` would be dropped too early."""
+        if order.earliest_us is None:
+            return False
+        drop_us = self.drop_us(order, now_us, loading_s)
+        return drop_us is not None and drop_us < order.earliest_us
+
+    def late_text(self, order: Order, now_us: int) -> str | None:
+        """Return how late an open order would be with a launch as soon as possible."""
+        if order.latest_us is None or (at_us := self.drop_us(order, now_us, LOADING_S)) is None:
+            return None
+        return late_text(order.window, at_us, "if a drone is loaded now")
+
+    def _end_of_window_if_kept(self, order: Order, now_us: int | None) -> float:
+        if now_us is None or order.latest_us is None or self.late_text(order, now_us):
+            return math.inf
+        return order.latest_us
 
     def are_all_depot_layers_occupied(self, assignments: list[AssignmentRow]) -> bool:
         """Return True if every layer is occupied over ground at the depot's height."""
@@ -187,7 +232,7 @@ class DepotAssigner:
 
     def _is_feasible_when_full(self, order: Order, feasibility: SortieFeasibility) -> bool:
         """Return True if a drone of this kind can deliver the order with a full pack."""
-        key = (_kind_of(feasibility.drone), order.id)
+        key = (_kind_of(feasibility.drone), order)
         if key not in self._feasible_when_full:
             mass_kg = order.mass_kg
             is_feasible = feasibility.can_lift(mass_kg) and feasibility.is_within_energy_budget(
@@ -200,7 +245,7 @@ class DepotAssigner:
         self, order: Order, feasibility: SortieFeasibility, layer: int = 0
     ) -> SortieNeed:
         """Return the need of a delivery from the depot and back for the airframe of this drone."""
-        key = (feasibility.drone.airframe, order.id, layer)
+        key = (feasibility.drone.airframe, order, layer)
         if key not in self._sortie_needs:
             depot, customer_ned = (0.0, 0.0, 0.0), self.order_ground_ned(order)
             up_m = self.layers.mission_in_layer(layer).cruise_height_m
@@ -211,9 +256,9 @@ class DepotAssigner:
 
     def order_ground_ned(self, order: Order) -> Ned:
         """Return the ground position of an order, NED about the depot."""
-        if order.id not in self._order_ned:
-            self._order_ned[order.id] = location_to_ground_ned_m(self._frame, order_location(order))
-        return self._order_ned[order.id]
+        if order not in self._order_ned:
+            self._order_ned[order] = location_to_ground_ned_m(self._frame, order_location(order))
+        return self._order_ned[order]
 
     def check_delivery(
         self, order: Order, vehicle: str, charge_frac: float | None = None

@@ -266,7 +266,7 @@ class DispatchRules:
             not ready
             or drone.doubtful
             or row.sortie.launch != current_stop.id
-            or row.vehicle in day.drones_on_hold
+            or day.must_wait(row)
         ):
             return False
         if row.sortie.home == current_stop.id:
@@ -281,7 +281,7 @@ class DispatchRules:
     ) -> list[DispatchAction]:
         """Return the planned work of this stop that is not assigned yet."""
         actions: list[DispatchAction] = [
-            ServeOrder(order) for order in current_stop.serves if order in day.open_orders
+            ServeOrder(o) for o in current_stop.serves if day.is_due(o)
         ]
         handled_drones: set[str] = set()
         for sortie in day.unassigned_sorties_by_launch_time():
@@ -308,7 +308,7 @@ class DispatchRules:
         ]
         if any(row.state in IN_FORCE for row in day.truck_assignments):
             blockers.append("the driver is delivering an order")
-        blockers += [f"{o} is still to be delivered" for o in here.serves if o in day.open_orders]
+        blockers += [f"{o} is still to be delivered" for o in here.serves if o in day.due_orders]
         blockers += [
             f"{s.vehicle} is still to launch with"
             f" {s.order}{' (held)' * (s.vehicle in day.drones_on_hold)}"

@@ -59,11 +59,16 @@ def replan_reason(day: DaySnapshot, params: DispatchParams) -> ReplanReason | No
             return ReplanReason(ReplanCause.DRONE_OUT, text)
     unplanned_orders = sorted(
         day.open_orders
-        - _orders_still_to_deliver_in_plan(day)
-        - {line.order for line in day.plan.unplanned}
+        - (
+            _orders_still_to_deliver_in_plan(day)
+            | {line.order for line in day.plan.unplanned} - day.changed_orders
+        )
     )
     if unplanned_orders:
-        text = f"{unplanned_orders[0]} is open and not in the plan"
+        order = unplanned_orders[0]
+        text = f"{order} is open and not in the plan"
+        if order in day.changed_orders:
+            text = f"{order} was changed"
         return ReplanReason(ReplanCause.ORDER_UNPLANNED, text)
     if (
         day.truck_delay_s() > params.truck_late_s
@@ -87,7 +92,7 @@ def _orders_still_to_deliver_in_plan(day: DaySnapshot) -> set[str]:
     """Return the orders that the plan still delivers."""
     index = day.truck_stop_or_destination_index or 0
     remaining_stops = day.plan.stops[index:]
-    serves = {order for stop in remaining_stops for order in stop.serves}
+    serves = {order for stop in remaining_stops for order in stop.serves} - day.changed_orders
     stops = {stop.id for stop in remaining_stops}
     return serves | {s.order for s in day.unassigned_sorties_by_launch_time() if s.launch in stops}
 
@@ -133,6 +138,9 @@ def _last_promised_stop_index(row: SortieRow, day: DaySnapshot) -> int:
 def _stop_with_expected_times(day: DaySnapshot, stop_index: int, delay_s: float) -> PlannedStop:
     """Return a stop with its actual or currently expected times."""
     stop, index = day.plan.stops[stop_index], day.truck_stop_or_destination_index or 0
+    if day.changed_orders.intersection(stop.serves):
+        serves = [order for order in stop.serves if order not in day.changed_orders]
+        stop = msgspec.structs.replace(stop, serves=serves)
     times = day.stop_times.get(stop.id)
     if stop_index < index and times is not None:
         left_s = day.epoch_us_to_day_s(times.departed_us or times.arrived_us)

@@ -31,6 +31,9 @@ Waypoints = tuple[tuple[float, float], ...]
 DISTANCE_TOLERANCE_M = 1.0
 """Tolerance of distances in messages, which show whole metres."""
 
+OUTBOUND_LEGS = 4
+"""Climb, settling, cruise and descent, before the release; a route corner adds a cruise leg."""
+
 PAYLOAD_STEP_KG = 0.1
 """Payloads are rounded up to this step, to limit the number of power tables."""
 
@@ -68,12 +71,13 @@ class SortieGeometry:
 
 @dataclass(frozen=True, slots=True)
 class SortieNeed:
-    """Mean and standard deviation of a delivery's energy, and its mean time."""
+    """Mean and standard deviation of a delivery's energy, its mean time, and that to the drop."""
 
     mean_wh: float
     std_wh: float
     time_s: float
     flyable: bool
+    drop_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +164,11 @@ class SortieFeasibility:
         )
         model_wh = self.airframe.power_rotor.model_std_frac * mean_wh
         std_wh = math.hypot(wind_wh, model_wh)
-        return SortieNeed(mean_wh, std_wh, float(costs.time_s.sum()), bool(costs.feasible.all()))
+        time_s = costs.time_s.ravel()
+        drop_s = float(time_s[: len(out) + OUTBOUND_LEGS].sum())
+        return SortieNeed(
+            mean_wh, std_wh, float(costs.time_s.sum()), bool(costs.feasible.all()), drop_s
+        )
 
     def check_delivery(
         self,

@@ -92,6 +92,7 @@ class FleetFacts:
     launches: Sequence[LaunchFacts] = ()
     stuck: Sequence[tuple[str, str]] = ()
     idle_reasons: Mapping[str, str] = field(default_factory=dict)
+    late: Mapping[str, str] = field(default_factory=dict)
     held: Collection[str] = ()
     desk_silence_s: float | None = None
     desk_alarm: str = ""
@@ -115,6 +116,7 @@ def attention_items(
         ),
         *(_launch_item(launch, limits) for launch in facts.launches),
         *(_stuck_item(order, reason) for order, reason in facts.stuck),
+        *(_late_item(order, text) for order, text in facts.late.items()),
         *_wind_items(facts.fronts, facts.stations),
         *_idle_items(facts.idle_reasons, facts.held),
     ]
@@ -233,6 +235,15 @@ def _stuck_item(order: str, reason: str) -> AttentionItem:
     text = f"{reason}. Where is the parcel?"
     return AttentionItem(
         f"stuck {order}", Level.YOUR_TURN, order, f"{order} is stuck", text, (*actions, "show")
+    )
+
+
+def _late_item(order: str, text: str) -> AttentionItem:
+    """`text`: `arrives 13 min after its window, ...`."""
+    title, _, reason = text.partition(", ")
+    actions = ("call", f"edit {order}", "show")
+    return AttentionItem(
+        f"late {order}", Level.CAUTION, order, f"{order} {title}", f"{reason}.", actions
     )
 
 

@@ -65,6 +65,13 @@ class ImportOrders(_WebCommand, frozen=True, kw_only=True, tag="import"):
     check: bool = False
 
 
+class ChangeOrder(_WebCommand, frozen=True, kw_only=True, tag="change"):
+    """Change fields of an order: cells of an order file, by column; an empty one clears it."""
+
+    order: Name
+    cells: dict[Name, Annotated[str, Meta(max_length=500)]]
+
+
 class CancelOrder(_WebCommand, frozen=True, kw_only=True, tag="cancel"):
     """Cancel an order that no vehicle has."""
 
@@ -72,5 +79,5 @@ class CancelOrder(_WebCommand, frozen=True, kw_only=True, tag="cancel"):
     reason: Reason
 
 
-OrderCommand = AddOrder | ImportOrders | CancelOrder
+OrderCommand = AddOrder | ImportOrders | ChangeOrder | CancelOrder
 WebCommand = RecallDrone | HoldDrone | ReleaseDrone | ConfirmLaunch | SettleOrder | OrderCommand

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
+from msgspec import UNSET
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import Ned, location_to_ground_ned_m
@@ -23,10 +24,14 @@ from ground_station.core.planning.forecast_check import (
 from ground_station.core.planning.forward_pass import (
     ForwardPass,
     ForwardSchedule,
-    shorten_by_recovery_at_next_stop,
 )
 from ground_station.core.planning.forward_pass_request import ForwardPassRequest
 from ground_station.core.planning.launch_slots import LaunchSlot, SlotFinder
+from ground_station.core.planning.plan_polish import (
+    improve_for_windows,
+    schedule_rank,
+    shorten_by_recovery_at_next_stop,
+)
 from ground_station.core.planning.unplanned import (
     heaviest_orders_over_capacity,
     unplanned_order_without_slot,
@@ -140,7 +145,8 @@ class _DayPlanner:
             self._best_schedule_of_plan(nodes, forward_pass, *plan)
             for plan in self._candidate_plans(nodes)
         ]
-        plan_request, schedule = min(found, key=lambda one: _schedule_rank(one[1]))
+        best = min(found, key=lambda one: schedule_rank(nodes, one[1]))
+        plan_request, schedule = improve_for_windows(forward_pass, *best)
         if self._params.policy == "dynamic":
             return schedule
         return shorten_by_recovery_at_next_stop(forward_pass, plan_request, schedule)
@@ -155,7 +161,7 @@ class _DayPlanner:
         both = (ForwardPassRequest(plan_request.route, plan_request.requests), plan_request)
         return min(
             (_schedule_with_lost_served_by_truck(nodes, forward_pass, one) for one in both),
-            key=lambda one: _schedule_rank(one[1]),
+            key=lambda one: schedule_rank(nodes, one[1]),
         )
 
     def build_problem_and_record_unplanned(self) -> DayProblem:
@@ -176,6 +182,7 @@ class _DayPlanner:
             {id_: max(0.0, at - self._t0_s) for id_, at in self._start.available_from_s.items()},
             self._promised_stay_at_first_stop_s(),
             first_ring_radius_m(),
+            self._t0_s,
         )
         far = unreachable_drone_only_orders(nodes)
         self._unplanned += [*full, *far]
@@ -385,6 +392,7 @@ class _DayPlanner:
             required_wh=priced.required_wh,
             usable_wh=priced.usable_wh,
             alternative_stops=self._assign_alternative_landing_stops(nodes, schedule, slot, ids),
+            out_s=slot.drop_s - slot.launched_s if nodes.is_timed(request.customer) else UNSET,
         )
 
 
@@ -411,11 +419,6 @@ def _cooling_sequence(problem: TruckAndDrones, thorough: bool) -> tuple[Cooling,
     if customers > SHORT_COOLING_MAX_CUSTOMERS and not thorough:
         return SINGLE_COOLING
     return default_coolings(customers)
-
-
-def _schedule_rank(schedule: ForwardSchedule) -> tuple[int, float]:
-    """Sort key: number of lost orders, then makespan."""
-    return len(schedule.lost), schedule.makespan_s
 
 
 def _raise_if_state_inconsistent(data: DayData, start: DayState) -> None:

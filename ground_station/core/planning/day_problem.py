@@ -5,6 +5,7 @@ the depot at the end of the day.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -33,7 +34,7 @@ from ground_station.core.feasibility.reach import (
     SortieGeometry,
 )
 from ground_station.core.feasibility.sortie_model import WindSortieModel
-from ground_station.core.schema.day import Drone
+from ground_station.core.schema.day import Drone, Truck
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.orders import Order, Service, order_location
 from ground_station.core.truck_drones.problem import (
@@ -76,6 +77,19 @@ class DayProblem:
     routes: ObstacleRoutes
     problem: TruckAndDrones
     cruise_height_m: float
+    windows_s: Mapping[str, tuple[float, float]]
+    """Delivery windows by order, from the truck's arrival at the start."""
+
+    def window_s(self, node: int) -> tuple[float, float]:
+        """Return the delivery window of a node; infinite without one."""
+        is_order = 0 < node <= len(self.orders)
+        id_ = self.orders[node - 1].id if is_order else ""
+        return self.windows_s.get(id_, (-math.inf, math.inf))
+
+    def is_timed(self, customer: int) -> bool:
+        """Return whether an order has a window or priority."""
+        order = self.orders[customer - 1]
+        return order.is_urgent or order.window != (None, None)
 
     def ground_ned_m(self, node: int) -> Ned:
         """Return the ground point of a node."""
@@ -151,10 +165,11 @@ def build_day_problem(
     available_from_s_by_drone: dict[str, float],
     first_stop_hold_s: float,
     pad_offset_m: float,
+    t0_s: float = 0.0,
 ) -> DayProblem:
     """Build the problem for these orders. `start_name`: the start's name in the road matrix.
 
-    Times are relative to the truck's arrival at the start.
+    Times are relative to the truck's arrival at the start, at `t0_s` of the day.
     """
     frame = depot_frame(data.day.depot.location)
     positions_ned_m = [
@@ -191,7 +206,7 @@ def build_day_problem(
     ]
     problem = TruckAndDrones(
         travel_s=_truck_travel_matrix_s(data, orders, ned_m, start_name),
-        deliver_s=np.where(_flags_by_node(orders, [True] * len(orders)), truck.deliver_s, 0.0),
+        deliver_s=np.array([0.0, *(_deliver_s(order, truck) for order in orders), 0.0]),
         kinds=kinds  # a fleet without drones has one kind of none
         or (DroneKind(0, 1.0, 1.0, np.zeros(len(positions_ned_m), dtype=np.bool_)),),
         leg_tables=tuple(
@@ -223,7 +238,26 @@ def build_day_problem(
         ),
     )
     cruise_m = mission.cruise_height_m
-    return DayProblem(frame, obstacles, tuple(orders), ned_m, classes, routes, problem, cruise_m)
+    windows_s = _windows_s(data, orders, t0_s)
+    return DayProblem(
+        frame, obstacles, tuple(orders), ned_m, classes, routes, problem, cruise_m, windows_s
+    )
+
+
+def _windows_s(data: DayData, orders: list[Order], t0_s: float) -> dict[str, tuple[float, float]]:
+    """Return the windows of the orders that have one; none if the time of the plan is unknown."""
+    if data.start_us is None:
+        return {}
+
+    def at_s(epoch_us: int | None, unlimited_s: float) -> float:
+        return unlimited_s if epoch_us is None else (epoch_us - start_us) / 1e6 - t0_s
+
+    start_us = data.start_us
+    return {
+        order.id: (at_s(order.earliest_us, -math.inf), at_s(order.latest_us, math.inf))
+        for order in orders
+        if order.window != (None, None)
+    }
 
 
 def _infeasible_leg_tables(node_count: int) -> LegTables:
@@ -288,6 +322,10 @@ def layer_range_by_position(
     most_m = np.minimum(MAX_HEIGHT_AGL_M + ground_up_m, max_height_m)
     layers = np.floor((most_m - cruise_height_m) / LAYER_GAP_M) + 1
     return np.maximum(lowest, 0).astype(np.int64), np.maximum(layers, 0).astype(np.int64)
+
+
+def _deliver_s(order: Order, truck: Truck) -> float:
+    return truck.deliver_s if order.service_s is None else order.service_s
 
 
 def _flags_by_node(orders: list[Order], flag_by_order: list[bool]) -> NDArray[np.bool_]:

@@ -7,7 +7,6 @@ drone bound for a later stop moves to the next stop: the truck cannot wait for t
 """
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 from ground_station.core.deconfliction.pads import StopPads
 from ground_station.core.deconfliction.separation import LATE_MARGIN_S, OperationalVolume
@@ -37,16 +36,20 @@ class ForwardSchedule:
     slots: list[LaunchSlot] = field(default_factory=list[LaunchSlot])
     pads: dict[int, StopPads] = field(default_factory=dict[int, StopPads])
     lost: list[int] = field(default_factory=list[int])
+    served_s: dict[int, float] = field(default_factory=dict[int, float])
+    """Time at which the driver begins each delivery, by node."""
+
+    @property
+    def delivered_s(self) -> dict[int, float]:
+        """Time of each delivery, by node."""
+        nodes = {stop.node for stop in self.stops}
+        served_s = {node: at_s for node, at_s in self.served_s.items() if node in nodes}
+        return served_s | {slot.request.customer: slot.drop_s for slot in self.slots}
 
     @property
     def makespan_s(self) -> float:
         """Time from the start to the last departure."""
         return self.stops[-1].depart_s if self.stops else 0.0
-
-
-MAX_POLISH_PASSES = 50
-POLISH_ORDERS = 2_000
-"""Limits of polishing passes; fewer with more orders, since each pass takes longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,32 +80,6 @@ class ForwardPass:
     def build_schedule(self, plan_request: ForwardPassRequest) -> ForwardSchedule:
         """Return the schedule; the truck is at each rendezvous `lead_s` before its drones."""
         return _Pass(self, plan_request).build_schedule()
-
-
-def shorten_by_recovery_at_next_stop(
-    forward_pass: ForwardPass, plan_request: ForwardPassRequest, schedule: ForwardSchedule
-) -> ForwardSchedule:
-    """Recover the last launches of a stop at the next one if that shortens the makespan."""
-    left = min(MAX_POLISH_PASSES, POLISH_ORDERS // max(1, len(plan_request.requests)))
-    for here, next_stop in pairwise(plan_request.route):
-        loops = [s for s in schedule.slots if s.request.launch == s.request.rendezvous == here]
-        for slot in sorted(loops, key=lambda slot: -slot.launched_s):
-            if left == 0:
-                return schedule
-            left -= 1
-            customer = slot.request.customer
-            requests = tuple(
-                replace(w, rendezvous=next_stop) if w.customer == customer else w
-                for w in plan_request.requests
-            )
-            other = replace(plan_request, requests=requests)
-            candidate = forward_pass.build_schedule(other)
-            if (
-                len(candidate.lost) <= len(schedule.lost)
-                and candidate.makespan_s < schedule.makespan_s - 1.0
-            ):
-                plan_request, schedule = other, candidate
-    return schedule
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,6 +248,7 @@ class _Pass:
     ) -> list[SortieRequest]:
         """Process all events at this stop; return the launches to move to the next stop."""
         deliver_s = float(self._problem.deliver_s[node])
+        opens_s = self._road.nodes.window_s(node)[0]
         waiting, moved_requests = list(requests), list[SortieRequest]()
         while True:
             launched, until_s = self._launch_first_possible_or_retry_times_s(
@@ -283,11 +261,12 @@ class _Pass:
             landed = [slot for slot in home if slot.landed_s <= self._now_s + EPSILON_S]
             if landed:
                 self._recover_drone_and_advance_clock(min(landed, key=lambda slot: slot.landed_s))
-            elif deliver_s > 0.0:
+            elif deliver_s > 0.0 and self._now_s >= opens_s - EPSILON_S:
+                self._day.served_s[node] = self._now_s
                 self._now_s += deliver_s
                 deliver_s = 0.0
-            elif home or waiting:
-                times_s = [slot.landed_s for slot in home] + until_s
+            elif home or waiting or deliver_s > 0.0:
+                times_s = [slot.landed_s for slot in home] + until_s + [opens_s] * (deliver_s > 0.0)
                 if not times_s:
                     self._day.lost += [request.customer for request in waiting]
                     return moved_requests
@@ -344,6 +323,10 @@ class _Pass:
                 request, launched_s, drones, self._day.pads, in_air, layer
             )
             if isinstance(found, LaunchSlot):
+                early_s = self._road.nodes.window_s(request.customer)[0] - found.drop_s
+                if early_s > EPSILON_S:  # wait here: the drop is not before the window
+                    until_s.append(self._now_s + early_s)
+                    continue
                 self._now_s = put_out_s
                 del self._available_from_s[request.kind][found.drone]
                 self._airborne.append(found)

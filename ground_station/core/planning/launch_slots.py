@@ -52,6 +52,7 @@ class LaunchSlot:
     launched_s: float
     landed_s: float
     volume: OperationalVolume
+    drop_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +150,16 @@ class SlotFinder:
             from_s, landed_s = self._t0_s + launched_s, launched_s + need.time_s
             to_s = self._t0_s + landed_s
             volume = replace(shape, low_m=up_m, high_m=up_m, from_s=from_s, to_s=to_s)
-            return LaunchSlot(request, drone, start_pad, end_pad, launched_s, landed_s, volume)
+            return LaunchSlot(
+                request,
+                drone,
+                start_pad,
+                end_pad,
+                launched_s,
+                landed_s,
+                volume,
+                launched_s + need.drop_s,
+            )
         return NoSlot(until_s)
 
     def _drone_and_pad_candidates(

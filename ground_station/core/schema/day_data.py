@@ -25,7 +25,8 @@ class DayData:
     `road_times_s`: seconds between sites (`depot`, or an order's id); None: computed from the
     truck's speed. `elevation`: the ground about the depot, where the day names tiles. `forecast`:
     of a file; `day.forecast` is its wind at the start of the day. `folder`: folder of the files.
-    `imports`: what was used of each file, and how it was read.
+    `imports`: what was used of each file, and how it was read. `start_us`: start of the plan's
+    time, for delivery windows; None: plans do not honour them.
     """
 
     day: Day
@@ -37,6 +38,7 @@ class DayData:
     forecast: DayForecast | None = None
     folder: Path = Path()
     imports: tuple[ImportReport, ...] = ()
+    start_us: int | None = None
 
     def obstacles_to_avoid(self, frame: LocalFrame) -> tuple[Obstacle, ...]:
         """Return the obstacles that the day's flights must avoid under the day's zone terms."""

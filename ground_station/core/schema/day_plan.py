@@ -69,6 +69,14 @@ class PlannedSortie(_StrictStruct, frozen=True, kw_only=True):
     """Usable energy."""
     alternative_stops: list[Id] = msgspec.field(default_factory=list, name="others")
     """Alternative landing stops, in case the truck promises them."""
+    out_s: Seconds | UnsetType = UNSET
+    """Time from the launch to the drop, of an order with a window or priority."""
+
+    @property
+    def drop_s(self) -> float:
+        """Expected drop; half-way to the touchdown if its time is not stated."""
+        half_s = 0.5 * (self.land_s - self.launch_s)
+        return self.launch_s + (self.out_s if isinstance(self.out_s, float) else half_s)
 
 
 class UnplannedOrder(_StrictStruct, frozen=True, kw_only=True):
@@ -137,6 +145,15 @@ class DayPlan(_StrictStruct, frozen=True, kw_only=True):
     """Number of re-plans of this day."""
     imports: list[ImportedFile] | UnsetType = UNSET
     """What `ground-station plan` used of each file of the day, and skipped. A desk drops it."""
+
+    def delivery_times_s(self) -> dict[str, tuple[float, str]]:
+        """Return by order the expected drop or arrival of the driver, and the vehicle as text."""
+        served = {
+            order: (stop.arrive_s, f"by the truck at {stop.id}")
+            for stop in self.stops
+            for order in stop.serves
+        }
+        return served | {one.order: (one.drop_s, f"by {one.vehicle}") for one in self.sorties}
 
     def get_stop(self, id_: str) -> PlannedStop:
         """Return the stop with this id. Raises KeyError if there is none."""

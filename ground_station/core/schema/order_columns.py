@@ -1,4 +1,4 @@
-"""Columns of a table of orders: common headings, units, and text that is kept for operators."""
+"""Columns of a table of orders: common headings, units, and text that is kept for people."""
 
 import statistics
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +11,12 @@ from ground_station.core.schema.day import FileProblem
 from ground_station.core.schema.orders import ORDER_BOUNDS
 
 REQUIRED = ("id", "lat_deg", "lon_deg", "mass_kg")
-COLUMNS = ("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note")
+COLUMNS = (
+    *("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note", "customer", "phone"),
+    *("address", "window", "window_from", "window_to", "priority", "service_s"),
+)
+JOINED = ("note", "customer", "phone", "address")
+"""Columns that a table may have several of: their cells are joined."""
 LAT_LON = "lat_lon_deg"
 """Column with latitude and longitude in one cell."""
 UNIT_COLUMNS = {
@@ -43,6 +48,21 @@ COLUMN_OF_HEADING = _headings(
         " latitude,_longitude latitude,longitude coordinates coordinate coords gps gps_coordinates"
         " position location koordinaten coordonnées coordenadas coordinate_gps koordinater",
         "note": "notes comment comments remark remarks bemerkung notiz hinweis commentaire nota",
+        "customer": "name customer_name recipient company kunde empfänger firma client nom cliente"
+        " nombre nome klient kunde_navn navn",
+        "phone": "telephone phone_number mobile telefon téléphone teléfono telefono tlf",
+        "address": "street house_number city town zip zip_code postcode postal_code country state"
+        " region delivery_address shipping_address adresse lieferadresse straße strasse hausnummer"
+        " ort stadt plz"
+        " postleitzahl land rue ville code_postal pays dirección direccion calle ciudad"
+        " código_postal codigo_postal país indirizzo via città cap by postnummer vej gade adres",
+        "window": "delivery_window time_window time_slot timeslot slot delivery_time zeitfenster"
+        " lieferfenster créneau creneau ventana fascia_oraria tidsvindue",
+        "window_from": "earliest from ready_from time_from start_time window_start not_before von"
+        " ab de desde dalle fra",
+        "window_to": "latest to due until time_to end_time window_end not_after deadline bis à"
+        " hasta alle til",
+        "priority": "prio priorität prioritaet priorité priorite prioridad priorità prioritet",
     }
 ) | {
     heading: name
@@ -54,16 +74,8 @@ COLUMN_OF_HEADING = _headings(
 COLUMN_OF_HEADING |= {"kg": "mass_kg", "grams": "mass_g", "lbs": "mass_lb", "oz": "mass_oz"}
 """Common headings; none for a mass without unit or a height without datum: neither is guessed."""
 
-_TEXT_WORDS = """
-address street house_number city town zip zip_code postcode postal_code country state region name
-customer recipient company phone telephone mobile email e_mail description delivery_address
-shipping_address adresse straße strasse hausnummer ort stadt plz postleitzahl land kunde empfänger
-firma telefon rue ville code_postal pays client nom téléphone dirección direccion calle ciudad
-código_postal codigo_postal país cliente nombre teléfono telefono indirizzo via città cap by
-postnummer navn vej gade
-"""
-TEXT_HEADINGS = frozenset(_TEXT_WORDS.split())
-"""Headings of addresses and contacts, which are kept in the note."""
+TEXT_HEADINGS = frozenset(("email", "e_mail", "description"))
+"""Headings of further texts, which are kept in the note."""
 
 HEIGHT_WORDS = ("alt", "altitude", "elevation", "height", "höhe", "hoehe", "altitud", "højde")
 GRAMS_FROM = 20.0
@@ -118,10 +130,12 @@ class OrderColumns:
         kept: list[str] = []
         for name, heading, cell in zip(self.names, self.headings, cells, strict=True):
             base, factor = UNIT_COLUMNS.get(name, (name, 1.0))
-            if name == "note" and is_text_heading(heading):
+            if name == "note" and _key(heading) in TEXT_HEADINGS:
                 kept += [f"{heading}: {cell.strip()}"] if cell.strip() else []
             elif name == "note":
                 kept[:0] = [cell] if cell.strip() else []
+            elif name in JOINED:
+                found[name] = ", ".join(filter(None, (found.get(name), cell.strip())))
             elif name == LAT_LON:
                 found["lat_deg"], found["lon_deg"] = split_lat_lon(cell, self.with_decimal_point)
             elif base.endswith("_deg"):
@@ -153,9 +167,9 @@ class OrderColumns:
                 add_problem(heading, f"column missing, expected for {name}")
         for name in REQUIRED:
             if name not in bases:
-                is_place = name.endswith("_deg") and any(map(is_text_heading, self.headings))
+                is_place = name.endswith("_deg") and "address" in bases
                 add_problem(name, "column missing" + (PLACE_TEXT if is_place else ""))
-        for name in sorted({name for name in bases if name and bases.count(name) > 1} - {"note"}):
+        for name in sorted({name for name in bases if name and bases.count(name) > 1} - {*JOINED}):
             add_problem(name, "column more than once")
 
     def _unknown_text(self, heading: str, values: Sequence[str]) -> str:
@@ -186,11 +200,6 @@ def is_order_header(cells: Sequence[str], column_headings: Mapping[str, str]) ->
 
 
 PLACE_TEXT = ": addresses are not converted to positions, expected degrees"
-
-
-def is_text_heading(heading: str) -> bool:
-    """Return whether a column is kept as text in the note."""
-    return _key(heading) in TEXT_HEADINGS
 
 
 def _documented_column(name: str) -> str:

@@ -2,20 +2,35 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from datetime import date
 
+from companion.core.base.errors import LeewayError
 from companion.core.base.geo import EARTH_RADIUS_M
 from companion.core.base.safe_text import safe_text
 from companion.core.base.site_reach import site_distance_error_text
 from companion.core.mission.flight_plan import depot_frame
 from ground_station.core.schema.day import Depot, FileProblem
 from ground_station.core.schema.elevation import SiteElevation
-from ground_station.core.schema.orders import ORDER_BOUNDS, Order, Service
+from ground_station.core.schema.order_window import Window, parse_moment, parse_window
+from ground_station.core.schema.orders import (
+    MAX_SERVICE_S,
+    ORDER_BOUNDS,
+    TEXT_LENGTHS,
+    Order,
+    Priority,
+    Service,
+    contact_text_error,
+    window_error,
+)
 
 HEAVIEST_PARCEL_KG = 70.0
 """Limit of parcel services (UPS: 70 kg); a higher value is freight, or a mass in grams."""
 SAME_SITE_M = 2.0
 SAME_SITE_DEG = math.degrees(SAME_SITE_M / EARTH_RADIUS_M)  # of latitude
+URGENT_WORDS = ("urgent", "high", "express", "eilig", "dringend", "urgente", "haster")
+NORMAL_WORDS = ("", "normal", "standard", "normale")
+_NO_BREAK_SPACES = re.compile("[\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}]")
 
 
 def parse_order_or_problems(
@@ -24,11 +39,12 @@ def parse_order_or_problems(
     cell_by_column: Mapping[str, str],
     depot: Depot | None,
     elevation: SiteElevation | None = None,
+    today: date | None = None,
 ) -> Order | list[FileProblem]:
     """Return one order, or all errors in its row.
 
     An empty `alt_amsl_m` is set to the ground's height by `elevation`, otherwise by the depot's
-    terrain, if the day states one.
+    terrain, if the day states one. `today`: the date of times without one.
     """
     problems: list[FileProblem] = []
 
@@ -78,9 +94,76 @@ def parse_order_or_problems(
     note = cell_by_column.get("note", "")
     if len(note) > 500:
         add_problem("note", f"{len(note)} characters, expected at most 500")
+    contact = _contact_texts(cell_by_column, add_problem)
+    window = _window_or_problem(cell_by_column, today, add_problem)
+    priority = cell_by_column.get("priority", "").strip().lower()
+    if priority not in (*URGENT_WORDS, *NORMAL_WORDS):
+        add_problem("priority", f"{priority!r:.60}: expected normal or urgent")
+    service_text = cell_by_column.get("service_s", "").strip()
+    service_s = _parse_finite_number(service_text) if service_text else None
+    if service_text and (service_s is None or not 0.0 <= service_s <= MAX_SERVICE_S):
+        message = f"{service_text!r:.60}: expected seconds from 0 to {MAX_SERVICE_S:g}"
+        add_problem("service_s", message)
     if problems:
         return problems
-    return Order(id=id_, service=Service(service), note=safe_text(note), **numbers)
+    return Order(
+        id=id_,
+        service=Service(service),
+        note=safe_text(note),
+        earliest_us=window[0],
+        latest_us=window[1],
+        priority=Priority.URGENT if priority in URGENT_WORDS else Priority.NORMAL,
+        service_s=service_s,
+        customer=contact["customer"],
+        phone=contact["phone"],
+        address=contact["address"],
+        **numbers,
+    )
+
+
+def _contact_texts(
+    cell_by_column: Mapping[str, str], add_problem: Callable[[str, str], None]
+) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for name, most in TEXT_LENGTHS.items():
+        text = _NO_BREAK_SPACES.sub(" ", cell_by_column.get(name, "")).strip()
+        if error := contact_text_error(text, most):
+            add_problem(name, error)
+        found[name] = safe_text(text)
+    return found
+
+
+def _window_or_problem(
+    cell_by_column: Mapping[str, str], today: date | None, add_problem: Callable[[str, str], None]
+) -> Window:
+    """Return the window of `window`, or of `window_from` and `window_to`."""
+    name, window = "window", (None, None)
+    try:
+        window = parse_window(cell_by_column.get(name, ""), today)
+        for at, name in enumerate(("window_from", "window_to")):
+            if text := cell_by_column.get(name, "").strip():
+                if window[at] is not None:
+                    raise LeewayError("stated twice: remove it, or the column window")
+                end_us = parse_moment(text, today)
+                window = (end_us, window[1]) if at == 0 else (window[0], end_us)
+        if error := window_error(window):
+            raise LeewayError(error)
+    except LeewayError as error:
+        add_problem(name, str(error))
+    return window
+
+
+def order_from_cells(
+    cell_by_column: Mapping[str, str],
+    depot: Depot | None,
+    elevation: SiteElevation | None,
+    today: date | None,
+) -> Order:
+    """Return one order that a person has typed. Raises LeewayError with all its errors."""
+    found = parse_order_or_problems("order", 1, cell_by_column, depot, elevation, today)
+    if isinstance(found, Order):
+        return found
+    raise LeewayError("; ".join(f"{one.column or 'order'}: {one.text}" for one in found))
 
 
 def find_duplicate_orders(file_rows: list[tuple[str, int, Order]]) -> list[FileProblem]:
@@ -127,10 +210,11 @@ def _is_same_parcel(first_order: Order, second_order: Order) -> bool:
     north_deg = first_order.lat_deg - second_order.lat_deg
     east_deg = (first_order.lon_deg - second_order.lon_deg) * _longitude_scale(first_order.lat_deg)
     near = math.hypot(north_deg, east_deg) <= SAME_SITE_DEG
-    return near and (first_order.mass_kg, first_order.note) == (
-        second_order.mass_kg,
-        second_order.note,
+    first, second = (
+        (one.mass_kg, one.note, one.customer, one.address, one.window)
+        for one in (first_order, second_order)
     )
+    return near and first == second
 
 
 def _ground_amsl_m(

@@ -11,6 +11,13 @@ class Service(Enum):
     TRUCK = "truck"
 
 
+class Priority(Enum):
+    """Priority of an order: urgent ones are delivered before normal ones."""
+
+    NORMAL = "normal"
+    URGENT = "urgent"
+
+
 class ParcelOutcome(Enum):
     """Outcome of a parcel as reported by an operator, if no vehicle can report it."""
 

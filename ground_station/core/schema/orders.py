@@ -9,8 +9,10 @@ from msgspec import Meta
 
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.location import Location
+from companion.core.base.safe_text import flatten_to_one_line
 from companion.fleet.messages import CommandAction, CommandStatus
-from ground_station.core.schema.order_states import OrderState, ParcelOutcome, Service
+from ground_station.core.schema.order_states import OrderState, ParcelOutcome, Priority, Service
+from ground_station.core.schema.order_window import Window, format_window
 
 OrderId = Annotated[
     str, Meta(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*\Z")
@@ -24,12 +26,19 @@ ORDER_BOUNDS = {
     "mass_kg": (0.0, 500.0),
 }
 """Ranges of an order's numbers."""
+TEXT_LENGTHS = {"customer": 100, "phone": 40, "address": 200}
+"""Maximum lengths of the contact data."""
+MAX_EPOCH_US, MAX_SERVICE_S = 10**16, 7200.0
 
 
-class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Order(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
+):
     """One parcel to one destination. `alt_amsl_m`: height of the ground there (safety rule 8).
 
-    `note` is for operators and has no effect on decisions.
+    `customer`, `phone`, `address` and `note` are for people and have no effect on decisions; no
+    vehicle receives them. `earliest_us`, `latest_us`: the delivery window. `service_s`: the
+    driver's time at the customer, in place of the day's `deliver_s`.
     """
 
     id: OrderId
@@ -39,10 +48,54 @@ class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     mass_kg: float
     service: Service = Service.ANY
     note: Annotated[str, Meta(max_length=500)] = ""
+    customer: str = ""
+    phone: str = ""
+    address: str = ""
+    earliest_us: int | None = None
+    latest_us: int | None = None
+    priority: Priority = Priority.NORMAL
+    service_s: float | None = None
 
     def __post_init__(self) -> None:
         for key, (low, high) in ORDER_BOUNDS.items():
             check_range(key, getattr(self, key), low, high)
+        if self.service_s is not None:
+            check_range("service_s", self.service_s, 0.0, MAX_SERVICE_S)
+        for key, most in TEXT_LENGTHS.items():
+            if error := contact_text_error(getattr(self, key), most):
+                raise LeewayError(f"{key}: {error}")
+        for key in ("earliest_us", "latest_us"):
+            check_range(key, getattr(self, key) or 0, 0, MAX_EPOCH_US)
+        if error := window_error(self.window):
+            raise LeewayError(error)
+
+    @property
+    def window(self) -> Window:
+        """Earliest and latest delivery, epoch microseconds."""
+        return self.earliest_us, self.latest_us
+
+    @property
+    def is_urgent(self) -> bool:
+        """Whether it is delivered before normal orders."""
+        return self.priority is Priority.URGENT
+
+
+def contact_text_error(text: str, max_length: int) -> str:
+    """Return the error of contact data; empty: it is one line of visible characters."""
+    if len(text) > max_length:
+        return f"{len(text)} characters, expected at most {max_length}"
+    if flatten_to_one_line(text) != text:
+        return f"{flatten_to_one_line(text)!r}: control characters, expected one line of text"
+    return ""
+
+
+def window_error(window: Window) -> str:
+    """Return the error of a window that ends before it starts; empty: it is correct."""
+    earliest_us, latest_us = window
+    if earliest_us is None or latest_us is None or earliest_us < latest_us:
+        return ""
+    text = f"window {format_window(window)}: ends before it starts"
+    return f"{text}, expected an end after the start (across midnight: with both dates)"
 
 
 def order_location(order: Order) -> Location:
@@ -94,6 +147,27 @@ class OrderRow:
     state: OrderState
     attempts: int
     reason: str
+
+
+class DeliveryProof(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The confirmed release of a parcel. `vehicle` empty: a person reported it. Without `lat_deg`
+    and `lon_deg` its position is not reported. `photo`: a path and its digest.
+    """
+
+    at_us: int
+    evidence: str
+    vehicle: str = ""
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    photo: str = ""
+
+
+class HistoryEntry(msgspec.Struct, frozen=True):
+    """A change of an order: time, a person's or vehicle's name if known, and text."""
+
+    at_us: int
+    by: str
+    text: str
 
 
 @dataclass(frozen=True, slots=True)

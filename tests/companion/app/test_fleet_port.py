@@ -16,6 +16,9 @@ from companion.app.flight import fleet_port
 from companion.app.flight.assignment import MISSION, load_current_assignment, write_assignment
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions, Settings
 from companion.core.base.errors import LeewayError
+from companion.core.mission.actions import Decision
+from companion.core.mission.event_text import DecisionEvent
+from companion.core.pilot.telemetry_state import TelemetryState
 from companion.fleet import member as fleet_member
 from companion.fleet.command_log import CommandReply
 from companion.fleet.event_log import (
@@ -49,7 +52,7 @@ from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.pki.pki_folder import PkiFolder, utc_datetime
 from ground_station.core.dispatch.flight_tables import depot_delivery_flight_table
 from tests.fleet.wire import valid_from
-from tests.fleet.zenoh_net import Vehicle, config_file, free_port
+from tests.fleet.zenoh_net import AT_HARBOUR, Vehicle, config_file, free_port
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
 OPTIONS = RunOptions("memory", "m100", Path(), Path())
@@ -88,6 +91,18 @@ def ask(port: fleet_port.FleetPort, deed: CommandAction, id_: str = "c1") -> Res
     result = decode_message(Result, raw)
     assert isinstance(result, Result)
     return result
+
+
+def test_a_confirmed_release_is_reported_with_its_position_and_evidence(port):
+    port.publish_state_if_due("release", TelemetryState(position=AT_HARBOUR))
+    port.report_action_to_desk(Decision(2.0, "delivered", "hover power fell by 33 %"))
+    known = DecisionEvent.parse(port.member.log.next_stored_events_after(0)[-1].text)
+    assert known.release_evidence == "hover power fell by 33 %"
+    expected = (AT_HARBOUR.lat_deg, AT_HARBOUR.lon_deg)
+    assert known.release_position == pytest.approx(expected, abs=1e-6)
+    earlier_version = DecisionEvent.parse("delivered: hover power fell by 33 %")
+    assert earlier_version.release_position is None
+    assert earlier_version.release_evidence == known.release_evidence
 
 
 def test_on_a_full_disk_nothing_is_launched_but_a_recall_is_taken(port, monkeypatch):

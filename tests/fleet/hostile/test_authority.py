@@ -133,7 +133,8 @@ def test_a_revoked_person_with_an_old_roster_changes_nothing_in_the_store(
         monkeypatch.setattr(MemberTrust, "store_roster_if_newer", lambda *_, **__: None)
     order = {"launch": "o1", "cancel": "o2"}[command]
     url, folder = f"sqlite:///{tmp_path}/desk.db", str(site.home("anna"))
-    done = CliRunner().invoke(app, ["order", command, order, "--store", url, "--identity", folder])
+    words = ["order", command, order, *(["--reason", "x"] if command == "cancel" else [])]
+    done = CliRunner().invoke(app, [*words, "--store", url, "--identity", folder])
     assert (done.exit_code != 0) is guarded, done.output
     number = site.pki.roster.number
     assert not guarded or str(done.exception) == f"anna is revoked since roster {number}"

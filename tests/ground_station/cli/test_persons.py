@@ -24,7 +24,9 @@ WRITING = {
     "release": ("release", "d2"),
     "order add": ("order", "add", "o9", *PLACE),
     "order import": ("order", "import", "harbour"),
-    "order cancel": ("order", "cancel", "o2"),
+    "order cancel": ("order", "cancel", "o2", "--reason", "asked"),
+    "order change": ("order", "change", "o2", "--phone", "12"),
+    "order proof": ("order", "proof", "o4", "--photo", "d.db"),
     "order settle, cancelled": ("order", "settle", "o3", "--back", "--reason", "found"),
     "order launch": ("order", "launch", "o1"),
     "order settle": ("order", "settle", "o1", "--back", "--reason", "it stands here"),
@@ -49,7 +51,7 @@ def url(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     with opened(url) as store:
         store.add_orders_unless_conflict([an_order("o1"), an_order("o2"), an_order("o3")])
         aboard(store)
-    run(url, "order", "cancel", "o3")
+    run(url, "order", "cancel", "o3", "--reason", "asked")
     run(url, "hold", "d2", "--reason", "propeller")
     return url
 

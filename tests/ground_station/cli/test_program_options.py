@@ -34,7 +34,7 @@ def test_the_store_may_be_named_anywhere(here: Path, at: int, split: bool):
 
 
 def test_what_follows_two_dashes_is_no_option(here: Path):
-    done = CliRunner().invoke(app, ["order", "cancel", "--", "--store"])
+    done = CliRunner().invoke(app, ["order", "cancel", "--reason=x", "--", "--store"])
     assert "leeway-desk.db" in str(done.exception)  # this folder's default store does not exist
 
 

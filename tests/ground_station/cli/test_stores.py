@@ -31,7 +31,8 @@ CODE = "from ground_station.app.cli.main import main; main()"
         ["hold", "d1", "--reason", "x"],
         ["release", "d1"],
         ["store", "check"],
-        ["order", "cancel", "H-1"],
+        ["order", "cancel", "H-1", "--reason", "x"],
+        ["order", "show", "H-1"],
     ],
     ids=" ".join,
 )

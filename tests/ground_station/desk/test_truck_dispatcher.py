@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,13 @@ import sqlalchemy as sa
 from companion.core.base.errors import LeewayError
 from companion.fleet.messages import Command, Drive
 from ground_station.adapters.files.day_files import read_day
+from ground_station.adapters.store.audit_store import read_audit_rows_and_head
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.desk import Desk
 from ground_station.app.desk.open_desk import open_truck_desk
+from ground_station.app.desk.operator_commands import change_order
 from ground_station.app.desk.replanner import NoPlan, Replanner, create_inline_planner
 from ground_station.app.desk.truck_dispatcher import TruckDispatcher
 from ground_station.core.dispatch.dispatch_rules import DispatchParams
@@ -513,6 +515,46 @@ def test_where_nobody_is_at_home_a_person_decides_and_a_reopened_order_is_brough
     assert told.store.change_order_state("H-108", (OrderState.STUCK,), OrderState.OPEN, "anna")
     told.run()
     assert told.states()["H-108"] is OrderState.DELIVERED
+
+
+@pytest.mark.parametrize("order", ["H-101", "H-108"])  # on its pad, and later by the driver
+def test_an_order_with_a_new_place_is_withdrawn_and_planned_again(day, order):
+    told = day(14)
+    while not any(row.put_on_pad for row in told.dispatcher.day.sorties()):
+        told.world.step()
+        told.desk.run_cycle(0.0)
+    place = {"lat_deg": "55.4721", "lon_deg": "8.4512", "alt_amsl_m": "12"}
+    change_order(told.store, told.world.clock.epoch_us, order, place, "anna")
+    told.run()
+    assert f"replanning: {order} was changed" in told.said
+    flown = [row.id for row in told.store.assignments() if row.order_id == order]
+    assert [row.partition(".")[0] for row in flown] == [order] * (2 if order == "H-101" else 1)
+    assert flown[0] not in told.world.flown
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+    assert told.world.wrong == []
+
+
+def test_neither_drone_nor_driver_delivers_before_a_window(day, monkeypatch):
+    begin_us, s = World(["d1"], np.random.default_rng(1)).clock.epoch_us(), 1_000_000
+    opens_us = {"H-101": begin_us + 400 * s, "H-105": begin_us + 900 * s}
+    late = {"H-108": begin_us + 60 * s}
+    orders = [
+        msgspec.structs.replace(
+            order, earliest_us=opens_us.get(order.id), latest_us=late.get(order.id)
+        )
+        for order in HARBOUR.orders
+    ]
+    monkeypatch.setattr(f"{__name__}.HARBOUR", replace(HARBOUR, orders=orders))
+    told = day(15)
+    told.run()
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+    (flight,) = [row for row in told.dispatcher.day.sorties() if row.sortie.order == "H-101"]
+    half_flight_us = 100 * s  # the hand-made plan states no drop: half-way
+    assert 0 <= (flight.launched_us or 0) + half_flight_us - opens_us["H-101"] <= 10 * s
+    rows, _ = read_audit_rows_and_head(told.database)
+    served = [row.entry for row in rows if "H-105" in row.entry.subject]
+    assert 0 <= served[0].at_us - opens_us["H-105"] <= 10 * s
+    assert [line for line in told.said if line.startswith("H-108: arrives ")] != []
 
 
 def test_a_plan_of_another_day_is_refused_in_words(day):

@@ -21,6 +21,7 @@ from ground_station.adapters.files.order_files import read_orders
 from ground_station.adapters.files.params import read_json
 from ground_station.adapters.files.station_file import StationFile
 from ground_station.core.schema.day import Depot
+from ground_station.core.schema.order_changes import order_cells
 from ground_station.core.schema.order_columns import parse_column_headings
 from ground_station.core.weather.forecast_field import WindAt
 from tests.ground_station.weather.open_meteo import START_S, answer
@@ -191,7 +192,10 @@ def orders_result(path: Path, columns: str | None = None) -> str:
     one = orders[0]
     values = f"{one.id} {one.lat_deg:g} {one.lon_deg:g} {one.alt_amsl_m:g} {one.mass_kg:g}"
     notes = "; ".join(report.notes)
-    return f"{report.used} used; {values} {one.service.value} ({one.note}) | {notes}"
+    customers = ("customer", "phone", "address", "window", "priority", "service_s")
+    more = [text for name in customers if (text := order_cells(one)[name]) not in ("", "normal")]
+    shown = "".join(f" {{{text}}}" for text in more)
+    return f"{report.used} used; {values} {one.service.value} ({one.note}){shown} | {notes}"
 
 
 def zones_result(path: Path) -> str:

@@ -1,7 +1,12 @@
 """The attention list: causes, levels, hysteresis and words."""
 
+import msgspec
 import pytest
 
+from ground_station.app.map.attention_facts import fleet_facts
+from ground_station.app.map.flight_decisions import FlightDecisions
+from ground_station.app.map.map_snapshot import MapSnapshot, StoreSnapshot
+from ground_station.app.map.picture import DroneShown, SiteShown
 from ground_station.core.fleet.attention import (
     AttentionLimits,
     FleetFacts,
@@ -10,7 +15,9 @@ from ground_station.core.fleet.attention import (
     VehicleFacts,
     attention_items,
 )
+from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.risk_words import format_decision, format_loss, format_reason
+from tests.ground_station.store.test_order_store import an_order
 
 LIMITS = AttentionLimits(low_spare_wh=10.0, contact_timeout_s=15.0, max_loss=0.01)
 
@@ -50,6 +57,29 @@ def test_no_contact_begins_after_its_limit_and_hides_outdated_energy(age_s, coun
     items = attention_items(facts, LIMITS)
     assert len(items) == 1
     assert items[0].key == ("contact d1" if count else "spare d1")
+
+
+def test_a_late_order_is_an_item_with_its_actions():
+    text = "arrives 13 min after its window, 14:43 by d2; move its window"
+    (item,) = attention_items(FleetFacts(late={"T-135": text}), LIMITS)
+    assert (item.level, item.title) == (Level.CAUTION, "T-135 arrives 13 min after its window")
+    assert (item.text, item.actions[:2]) == (
+        "14:43 by d2; move its window.",
+        ("call", "edit T-135"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("late_s", "delivered", "is_late"), [(60, False, True), (60, True, False), (-1, False, False)]
+)
+def test_an_order_in_the_air_is_late_by_its_expected_drop(late_s, delivered, is_late):
+    order = msgspec.structs.replace(an_order("o1"), latest_us=10**15)
+    store = StoreSnapshot(orders={"o1": order})
+    snapshot = MapSnapshot(0.0, FleetStatus(), {}, FlightDecisions(), store)
+    drone = DroneShown(
+        phase="outbound", order="o1", drop_us=10**15 + late_s * 10**6, delivered=delivered
+    )
+    assert ("o1" in fleet_facts(snapshot, {"d1": drone}, SiteShown()).late) is is_late
 
 
 def test_a_drone_that_is_expected_to_be_silent_is_no_item():

@@ -50,7 +50,8 @@ def test_every_writing_command_of_a_person_is_in_it_with_the_name(tmp_path: Path
     url = f"sqlite:///{tmp_path}/d.db"
     place = ["--lat=55", "--lon=8", "--alt=3", "--mass=0.4"]
     for command in (
-        ["order", "add", "H-1", *place], ["order", "cancel", "H-1"],
+        ["order", "add", "H-1", *place], ["order", "change", "H-1", "--phone=12"],
+        ["order", "cancel", "H-1", "--reason=asked"],
         ["order", "settle", "H-1", "--back", "--reason", "found"],
         ["hold", "d1", "--reason=propeller"], ["release", "d1"],
     ):  # fmt: skip
@@ -58,12 +59,13 @@ def test_every_writing_command_of_a_person_is_in_it_with_the_name(tmp_path: Path
         assert code == 0, said
     assert deeds(url) == [
         ("anna", "take_orders", "H-1"),
+        ("anna", "change", "H-1"),
         ("anna", "order", "H-1"),
         ("anna", "settle", "H-1"),
         ("anna", "hold", "d1"),
         ("anna", "release", "d1"),
     ]
-    assert ground_station("order", "cancel", "H-1", "--store", url)[0] == 0
+    assert ground_station("order", "cancel", "H-1", "--reason", "x", "--store", url)[0] == 0
     assert deeds(url)[-1][0] == operating_system_account_name()
 
 

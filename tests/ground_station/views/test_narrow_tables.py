@@ -48,7 +48,7 @@ def long_ids(tmp_path: Path) -> str:
     with opened(url) as store:
         store.add_orders_unless_conflict([an_order(id_) for id_ in IDS], "anna")
     for id_ in IDS:
-        on_80_columns("order", "cancel", id_, "--store", url, "--user", "anna")
+        on_80_columns("order", "cancel", id_, "--reason", "x", "--store", url, "--user", "anna")
     return url
 
 

@@ -7,12 +7,15 @@ from contextlib import contextmanager
 from threading import Event, Thread
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from companion.fleet.roles import Role
 from ground_station.adapters.web.live_stream import LiveStream
 from ground_station.adapters.web.map_server import MapDataSources, MapServer, PastDataSources
 from ground_station.adapters.web.people import MapAccess
+from ground_station.app.map.manifest import manifest_rows
+from ground_station.app.map.picture import OrderShown, PlanShown, to_json_types
 from ground_station.core.people.web_tokens import TokenRegistry
 
 NOW_US = 1_780_000_000_000_000
@@ -59,13 +62,17 @@ def picture(drones: int = 8, orders: int = 40, seed: int = 1) -> dict[str, Any]:
                         "why": "Diverts to quay: risk 1 in 26 is above the limit 1 in 100",
                         "why_us": NOW_US}  # fmt: skip
     waiting = fleet[WAITING]["order"]
+    plan = {"title": "plan 3", "stops": stops, "route": route, "late_s": 120,
+            "end_us": stops["stop-7"]["depart_us"], "sorties": sorties(fleet)}  # fmt: skip
+    rows = manifest_rows(
+        msgspec.convert(plan, PlanShown), msgspec.convert(found, dict[str, OrderShown])
+    )
     return {
         "fleet": "Town", "site": {"depot": at(0, 0), "areas": areas(), "rally": {}},
         "orders": found, "drones": fleet, "max_loss": 0.01, "risk_limit": "1 in 100",
         "truck": {"phase": "at_stop", "at": stops["stop-3"]["at"], "stop": "stop-3",
                   "leaves_us": stops["stop-3"]["depart_us"], "heard_us": NOW_US},
-        "plan": {"title": "plan 3", "stops": stops, "route": route, "late_s": 120,
-                 "end_us": stops["stop-7"]["depart_us"], "sorties": sorties(fleet)},
+        "plan": plan, "manifest": [to_json_types(row) for row in rows],
         "winds": [{"to_ne_mps": [0.5, 5.0], "cov_m2ps2": [1, 0, 1], "source": "forecast"},
                   {"to_ne_mps": [1.0, 7.1], "cov_m2ps2": [1, 0, 1], "source": "by 6 drones"}],
         "attention": [

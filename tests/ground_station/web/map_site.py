@@ -134,6 +134,7 @@ class MapSite:
             self.decode_bytes.margin_history_of,
             self.decode_bytes.reachable_area_boundary,
             basemap,
+            order=self.decode_bytes.order_record_of,
         )
         self.server.start_serving(answers)
         self.held.callback(self.server.close)

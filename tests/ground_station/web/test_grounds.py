@@ -1,7 +1,6 @@
 """Background of the map: the user's base map in either schema, or the outline of the world."""
 
 import io
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -46,17 +45,17 @@ def colour_at(page, x: int, y: int) -> tuple[int, ...]:
     return red, green, blue
 
 
-def wide_of_name(page) -> int:
-    """Columns of the screen in which `TOWN` is written, once it is; Web Mercator by hand."""
-    box = page.locator("#place").bounding_box()
-    depot = HARBOUR.day.depot
-    sine = math.sin(math.radians(depot.lat_deg))
-    east = (0.25 - (0.5 + depot.lon_deg / 360.0)) * WORLD_PX
-    south = math.log((1 + sine) / (1 - sine)) / (4 * math.pi) * WORLD_PX
-    x, y = box["x"] + box["width"] / 2 + east, box["y"] + box["height"] / 2 + south
-    clip = {"x": x - 60, "y": y - 6, "width": 120, "height": 12}
+def wide_of_name(page, site: MapSite) -> int:
+    """Columns of the screen in which `TOWN` is written, once it is; Web Mercator by hand, with
+    the equator in the middle, as after zooming out to the whole world.
+    """
+    east = (0.25 - (0.5 + HARBOUR.day.depot.lon_deg / 360.0)) * WORLD_PX
     width = 0
     for _ in range(100):  # names fade in
+        site.step()  # without data the page turns grey
+        box = page.locator("#place").bounding_box()  # the timeline below it grows with the fleet
+        x, y = box["x"] + box["width"] / 2 + east, box["y"] + box["height"] / 2
+        clip = {"x": x - 60, "y": y - 6, "width": 120, "height": 12}
         seen = 255 * imread(io.BytesIO(page.screenshot(clip=clip)))[..., :3]
         columns = (seen.sum(axis=2) < 300).any(axis=0).nonzero()[0]
         width = int(np.ptp(columns)) if columns.size else 0
@@ -87,18 +86,19 @@ def test_a_base_map_is_drawn_from_the_users_file_with_its_attribution(
     town_tiles(town, schema)
     site.start_map(basemap=town)
     site.step()
-    with browsing(chromium, viewport={"width": 1440, "height": 1200}) as page:
+    with browsing(chromium, viewport={"width": 1440, "height": 900}) as page:
         page.goto(site.address)
         page.get_by_text("made by hand").wait_for()
         page.locator("#basemap canvas").wait_for()
         for _ in range(100):
+            site.step()  # without data the page turns grey
             if colour_at(page, *ON_MAP_PX) == WATER:
                 break
             page.wait_for_timeout(100)
         assert colour_at(page, *ON_MAP_PX) == WATER
         for key in ["-"] * 40 + ["+"] * 3:
             page.keyboard.press(key)  # to zoom 1.5
-        assert wide_of_name(page) > LEAST_NAME_PX, "without a server of glyphs"
+        assert wide_of_name(page, site) > LEAST_NAME_PX, "without a server of glyphs"
 
 
 LAND = ((52.0, 20.0), (7.5, 80.7), (66.5, -172.0))

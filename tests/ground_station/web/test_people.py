@@ -86,7 +86,11 @@ def serve(site: MapSite, people: MapAccess) -> MapServer:
     feed = site.decode_bytes
     server.start_serving(
         MapDataSources(
-            feed.stream, feed.margin_history_of, feed.reachable_area_boundary, access=people
+            feed.stream,
+            feed.margin_history_of,
+            feed.reachable_area_boundary,
+            access=people,
+            order=feed.order_record_of,
         )
     )
     site.held.callback(server.close)
@@ -355,6 +359,10 @@ def test_orders_are_checked_added_imported_and_cancelled_with_a_reason(desk: Des
     refused = desk.post(file | {"content": wrong})
     assert refused.status_code == 409
     assert "orders.csv, row 3, column mass_kg: 'heavy'" in refused.json()["trouble"]
+    moved = {"do": "change", "order": "N-9", "cells": {"mass_kg": "0.5", "phone": "12"}}
+    assert "mass 0.4 -> 0.5" in desk.post(moved).json()["words"][0]
+    wrong_cell = desk.post(moved | {"cells": {"mass_kg": "-1"}})
+    assert (wrong_cell.status_code, "mass_kg" in wrong_cell.json()["trouble"]) == (409, True)
     assert desk.post({"do": "cancel", "order": "N-9", "reason": ""}).status_code == 400
     assert desk.post({"do": "cancel", "order": "N-9", "reason": "Wrong address"}).status_code == 200
     row = next(row for row in desk.site.store.orders() if row.order.id == "N-9")
@@ -386,6 +394,19 @@ def test_in_the_page_an_order_is_checked_before_it_is_saved_then_cancelled(
         page.locator("#result", has_text="1 orders imported").wait_for()
         desk.site.step(2, desk=False)
         page.locator("#card h2", has_text="N-7").wait_for()
+        page.locator("#card [data-do=ask]", has_text="Edit").click()
+        for name, text in {"customer": "Jo Hansen", "phone": "+45 12", "mass_kg": "0,5"}.items():
+            page.locator(f"#card [name={name}]").fill(text)
+        page.locator("#card [name=window_from]").fill("2026-05-01T14:00")
+        page.locator("#card [name=priority]").select_option("urgent")
+        page.locator("#card [name=window_to]").fill("2026-05-01T15:30")
+        page.locator("[data-do=save-change]").click()
+        page.locator("#result", has_text="customer none -> Jo Hansen").wait_for()
+        desk.site.step(2, desk=False)
+        page.locator("#card h2", has_text="Jo Hansen").wait_for()
+        page.locator("#card .facts", has_text="14:00\u201315:30").wait_for()
+        assert page.locator("#card a[href='tel:+4512']").inner_text() == "+45 12"
+        page.locator("#card .why", has_text="anna: change: ").wait_for()
         page.locator("#card", has_text="Cancel order").locator("footer .danger").click()
         page.get_by_label("Wrong address").check()
         cancel = page.locator("#card .deed", has_text="ancel N-7")
@@ -400,4 +421,7 @@ def test_in_the_page_an_order_is_checked_before_it_is_saved_then_cancelled(
         page.locator("[data-do=save-file]").click()
         page.locator("#result", has_text="2 orders imported").wait_for()
     row = next(row for row in desk.site.store.orders() if row.order.id == "N-7")
+    order, hour_us = row.order, 3600 * 10**6
+    assert (order.phone, order.mass_kg, order.is_urgent) == ("+45 12", 0.5, True)
+    assert (order.latest_us or 0) - (order.earliest_us or 0) == 1.5 * hour_us
     assert row.reason == "Wrong address, by anna"

@@ -12,11 +12,13 @@ from typer.testing import CliRunner
 
 from companion.adapters.logs.decision_log import DecisionLog
 from companion.core.base.errors import LeewayError
+from companion.core.mission.event_text import DecisionEvent
 from companion.fleet.messages import EventKind
 from ground_station.adapters.store.past_store import PastStore
 from ground_station.adapters.web.live_stream import LiveStream
 from ground_station.adapters.web.map_server import MapDataSources, MapServer, PastDataSources
 from ground_station.app.cli.main import app
+from ground_station.app.desk.operator_commands import cancel_order
 from ground_station.app.map.map_view import MapView
 from ground_station.app.map.replay.past_folder import find_replay_files
 from ground_station.app.map.replay.replay_feed import ReplayDataSource
@@ -46,11 +48,21 @@ def as_json(picture: dict) -> dict:
 
 
 def test_a_moment_of_the_past_has_the_orders_truck_and_plan_that_were_shown_live(site: MapSite):
-    """Every 20 s of the day until the first delivery, and some time after."""
-    shown = {}
+    """Every 20 s of the day until the first delivery, and some time after. A release counts as
+    delivered before the landing.
+    """
+    shown, drone, before_landing = {}, site.world.drones["d1"], 0
+    cancel_order(site.store, "H-104", "anna", "customer asked")
     for _ in range(24):
+        if drone.flight is not None and drone.in_air and not before_landing:
+            text = DecisionEvent.create_delivery("weighed", 55.47, 8.45).text
+            flight = {"assignment": drone.flight.assignment, "order": drone.flight.order}
+            drone.tell(EventKind.DECISION, text, **flight)
         site.step(20)
         shown[site.world.clock.epoch_us()] = site.picture
+        if drone.flight is not None and drone.in_air:
+            before_landing += site.picture["orders"]["H-101"]["state"] == "delivered"
+    assert before_landing > 1
     assert {"open", "assigned", "delivered"} <= {
         order["state"] for order in site.picture["orders"].values()
     }

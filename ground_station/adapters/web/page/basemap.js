@@ -11,6 +11,7 @@ const PAINTS = {
 };
 
 const NAME = "name ";
+const NAMES_MS = 300;
 const WORDS = ["coalesce", ["get", "name"], ["get", "name:latin"]]; // the second is tilemaker's
 const [FONT, HEIGHT_PX, RIM_PX, RATIO] = ["12px system-ui, sans-serif", 18, 2, 2];
 
@@ -33,9 +34,13 @@ export async function openBasemap(view, dark) {
     attributionControl: false,
     ...camera(view),
   });
+  let names = 0;
   let paint = dark ? PAINTS.dark : PAINTS.light;
   map.on("styleimagemissing", ({ id }) => {
-    if (id.startsWith(NAME) && !map.hasImage(id)) map.addImage(id, nameImage(id.slice(NAME.length), paint), { pixelRatio: RATIO });
+    if (!id.startsWith(NAME) || map.hasImage(id)) return;
+    map.addImage(id, nameImage(id.slice(NAME.length), paint), { pixelRatio: RATIO });
+    clearTimeout(names); // a tile that was laid out meanwhile, during a zoom, lacks the name
+    names = setTimeout(() => map.refreshTiles("town"), NAMES_MS);
   });
   map.on("error", (event) => say($("#attribution"), `base map: ${event.error?.message ?? "failed"}`));
   return {

@@ -3,11 +3,11 @@
 import { button, html, keyed, morph, set } from "./dom.js";
 import { arrivalOf, carrierOf } from "./card.js";
 import { mayAdd } from "./forms.js";
-import { byName, clock, ORDER_WORDS, orderKind } from "./words.js";
+import { byName, clock, ORDER_WORDS, orderKind, windowWords } from "./words.js";
 
 const GROUPS = ["stuck", "air", "van", "open", "delivered", "cancelled"];
-const COLUMNS = ["Order", "Customer", "Address", "Arrives", "By", "Weight", "Note"];
-const DRIVER_COLUMNS = ["Stop", "Arrive", "Leave", "Do", "Order", "Drone", "kg", "Customer", "Address", "Phone", "Note"];
+const COLUMNS = ["Order", "Customer", "Address", "Window", "Arrives", "By", "Weight", "Note"];
+const DRIVER_COLUMNS = ["Stop", "Arrive", "Leave", "Do", "Order", "Drone", "kg", "Window", "Priority", "Customer", "Address", "Phone", "Note"];
 const find = { text: "", chip: "all" };
 
 export const setSearch = (text) => { find.text = text.toLowerCase(); };
@@ -48,6 +48,7 @@ function keyedBodies(table, groups, nowUs, selected) {
         html("td", {}, html("span", { class: `mark ${row.kind}` }), button(key, "select", key, { class: "plain" })),
         html("td", {}, order.customer && html("b", {}, order.customer), order.priority && html("span", { class: "chip prio" }, "Priority")),
         html("td", {}, order.address ?? ""),
+        html("td", { class: "num" }, windowWords(order, nowUs)),
         html("td", { class: "num" }, ["delivered", "cancelled", "stuck"].includes(row.kind) ? "" : row.arrives ? html("b", {}, clock(row.arrives)) : "not planned yet"),
         html("td", {}, row.by ?? ""), html("td", { class: "num" }, `${order.mass_kg.toFixed(2)} kg`), html("td", { class: "note" }, order.why || order.note || "")]);
     });
@@ -57,31 +58,23 @@ function keyedBodies(table, groups, nowUs, selected) {
 
 // --- the driver's list ----------------------------------------------------------------------------
 
-// What the driver does at each stop, in order: serve customers, put out drones, wait for drones.
-export function driverRows({ plan, orders = {} }) {
+// The rows of `ground-station manifest`, in the zone of this browser.
+export function driverRows({ manifest = [], orders = {} }, nowUs) {
   const time = (us) => (us ? clock(us) : "not started");
-  const row = (id, stop, does, order, drone = "") => {
-    const { mass_kg: kg, customer = "", address = "", phone = "", note = "" } = orders[order] ?? {};
-    return [id, time(stop.arrived_us ?? stop.arrive_us), time(stop.departed_us ?? stop.depart_us), does, order, drone, kg === undefined ? "" : kg.toFixed(2), customer, address, phone, note];
-  };
-  return (plan?.route ?? []).flatMap((id) => {
-    const stop = plan.stops[id];
-    if (!stop) return [];
-    const open = (plan.sorties ?? []).filter((one) => !["landed", "lost"].includes(one.state)).sort((a, b) => (a.launch_us ?? 0) - (b.launch_us ?? 0));
-    const served = (stop.serves ?? []).filter((order) => !["delivered", "cancelled"].includes(orders[order]?.state));
-    return [...served.map((order) => row(id, stop, "deliver", order)),
-      ...open.filter((one) => one.launch === id && one.state === "planned").map((one) => row(id, stop, "load", one.order, one.vehicle)),
-      ...open.filter((one) => one.home === id).map((one) => row(id, stop, "wait for", one.order, one.vehicle))];
+  return manifest.map(({ stop, arrive_us: arrive, leave_us: leave, does, order: id, drone = "" }) => {
+    const { mass_kg: kg, customer = "", address = "", phone = "", note = "", priority, ...order } = orders[id] ?? {};
+    return [stop, time(arrive), time(leave), does, id, drone, kg === undefined ? "" : kg.toFixed(2), windowWords(order, nowUs), priority ? "urgent" : "", customer, address, phone, note];
   });
 }
 
-export function driverCsv(picture) {
+export function driverCsv(picture, nowUs) {
+  const harmless = (value) => (/^[=@\t\r]|^[+-](?![\d ()/-]*$)/.test(value) ? `'${value}` : value); // no formula for a spreadsheet
   const cell = (value) => (/[",\n;]/.test(value) ? `"${value.replaceAll('"', '""')}"` : value);
-  return [DRIVER_COLUMNS, ...driverRows(picture)].map((cells) => cells.map((value) => cell(String(value))).join(",")).join("\r\n");
+  return [DRIVER_COLUMNS, ...driverRows(picture, nowUs)].map((cells) => cells.map((value) => cell(harmless(String(value)))).join(",")).join("\r\n");
 }
 
 export function drawDriverList(board, picture, nowUs) {
-  const rows = driverRows(picture);
+  const rows = driverRows(picture, nowUs);
   morph(board, [
     html("div", { class: "board-head", "data-key": "driver-head" }, html("h2", {}, "Driver's list"), html("div", { class: "right" }, button("Print", "print", "", { class: "primary" }), button("CSV", "csv"), button("Orders", "view", "orders"))),
     html("div", { class: "table driver", "data-key": "driver", tabindex: 0, role: "region", "aria-label": "Driver's list" },

@@ -1,10 +1,11 @@
 // The card of what is selected: a drone, an order, the truck, all drones, help or sign-in.
 
 import { button, html, icon, svg } from "./dom.js";
+import { editForm } from "./forms.js";
 import { truckWords } from "./map.js";
 import { mini } from "./panels.js";
 import { command, me, mayCommand, reasons } from "./people.js";
-import { age, ageOf, clock, fromWords, inTime, isSilent, kindOf, number, ORDER_WORDS, orderKind, phaseWords, seconds, UNKNOWN, wattHours } from "./words.js";
+import { age, ageOf, clock, fromWords, inTime, isSilent, kindOf, number, ORDER_WORDS, orderKind, phaseWords, seconds, UNKNOWN, wattHours, windowWords } from "./words.js";
 
 const RISK_DECADES = { from: 1, to: 5 }; // the scale: 1 in 10 to 1 in 100,000
 const HOLD_REASONS = ["Check the drone", "Pad not clear", "Weather", "Other"];
@@ -119,33 +120,45 @@ export function arrivalOf(id, order, { drones = {}, plan }) {
   const drone = drones[order.vehicle];
   if (order.state === "assigned" && drone?.order === id && drone.drop_us) return drone.drop_us;
   const sortie = plan?.sorties?.find((one) => one.order === id && one.state !== "lost");
-  if (sortie?.launch_us && sortie.land_us) return Math.round((sortie.launch_us + sortie.land_us) / 2);
+  if (sortie?.drop_us) return sortie.drop_us;
   return Object.values(plan?.stops ?? {}).find((stop) => stop.serves?.includes(id))?.arrive_us;
 }
 
 export const carrierOf = (id, order, { plan }) => order.vehicle ?? plan?.sorties?.find((one) => one.order === id)?.vehicle
   ?? (Object.values(plan?.stops ?? {}).some((stop) => stop.serves?.includes(id)) ? "truck" : undefined);
 
-function orderCard(id, order, picture, { nowUs, asking }) {
+function orderCard(id, order, picture, { nowUs, asking, record }) {
   const kind = orderKind(order, picture.drones);
   const by = carrierOf(id, order, picture);
   const arrives = arrivalOf(id, order, picture);
   const isOver = ["delivered", "cancelled", "stuck"].includes(kind);
-  const form = asking?.subject === id && (asking.kind === "cancel" ? cancelForm(id, order) : asking.kind === "settle" ? settleForm(id, asking.settled) : null);
+  const form = asking?.subject === id && (asking.kind === "cancel" ? cancelForm(id, order) : asking.kind === "settle" ? settleForm(id, asking.settled) : asking.kind === "edit" ? editForm(id, order) : null);
+  const own = record?.id === id ? record : null;
   return [
     header([order.customer ?? id, order.priority ? html("span", { class: "chip prio" }, "Priority") : null], [order.customer && id, `${order.mass_kg.toFixed(2)} kg`, by ? `by ${by}` : "by no vehicle yet"].filter(Boolean).join(" \u00b7 ")),
     stepper([["Received", ""], ["Loaded", ""], ["In the air", ""], [kind === "cancelled" ? "Cancelled" : "Delivered", ""]], { open: 0, van: 1, air: 2, stuck: 2, delivered: 4, cancelled: 3 }[kind]),
     html("div", { class: "promise" }, html("h3", {}, isOver ? "State" : "Arrives"), html("p", { class: "big" }, isOver ? ORDER_WORDS[kind] : arrives ? inTime(arrives, nowUs) : "not planned yet"), order.why && html("p", { class: "muted" }, order.why)),
-    facts([["Address", order.address], ["Contact", order.phone && html("a", { href: `tel:${order.phone.replaceAll(" ", "")}` }, order.phone)], ["Note", order.note], ["Position", order.at.map((degrees) => degrees.toFixed(5)).join(", ")], ["Confirmed", order.confirmed_by && `launch by ${order.confirmed_by}`], ["Drone", order.vehicle && link(order.vehicle)]]),
+    proofPart(own?.proof),
+    facts([["Window", windowWords(order, nowUs)], ["Address", order.address], ["Contact", order.phone && html("a", { href: `tel:${order.phone.replaceAll(" ", "")}` }, order.phone)], ["Note", order.note], ["Position", order.at.map((degrees) => degrees.toFixed(5)).join(", ")], ["Confirmed", order.confirmed_by && `launch by ${order.confirmed_by}`], ["Drone", order.vehicle && link(order.vehicle)]]),
     form || orderCommands(id, kind),
+    own && html("div", { class: "why" }, html("h3", {}, "History"), own.history.map(({ at_us: at, by, text }) => html("p", {}, html("time", {}, seconds(at)), html("span", {}, [by, text].filter(Boolean).join(": "))))),
   ];
+}
+
+// The confirmed release: when, where, and the evidence as the vehicle reported it.
+function proofPart(proof) {
+  if (!proof) return null;
+  const place = proof.lat_deg === undefined ? "position not reported" : `at ${proof.lat_deg.toFixed(6)}, ${proof.lon_deg.toFixed(6)}`;
+  return html("div", { class: "promise proof" }, html("h3", {}, "Proof of delivery"), html("p", { class: "big" }, seconds(proof.at_us)),
+    html("p", { class: "muted" }, [proof.vehicle, place].filter(Boolean).join(", ")), html("p", {}, proof.evidence), proof.photo && html("p", { class: "muted" }, proof.photo));
 }
 
 function orderCommands(id, kind) {
   if (!mayCommand()) return null;
   const settle = ["stuck", "van", "air"].includes(kind) && [["delivered", "Delivered\u2026"], ["lost", "Lost\u2026"], ["back", "Came back\u2026"]].map(([end, words]) => button(words, "ask", `settle ${id} ${end}`));
   const cancel = ["open", "stuck"].includes(kind) && button("Cancel order\u2026", "ask", `cancel ${id}`, { class: "danger quiet" });
-  return settle || cancel ? html("footer", {}, settle, cancel) : null;
+  const edit = ["open", "stuck", "van", "air"].includes(kind) && button("Edit\u2026", "ask", `edit ${id}`);
+  return settle || cancel || edit ? html("footer", {}, edit, settle, cancel) : null;
 }
 
 function cancelForm(id) {

@@ -1,4 +1,4 @@
-// Forms that add orders: one, or those of a file. What can be said of them is said before they are saved.
+// Forms that add and change orders: one, or those of a file. What can be said of them is said before they are saved.
 
 import { button, html, icon } from "./dom.js";
 import { header } from "./card.js";
@@ -10,47 +10,83 @@ const KB = 1024;
 const MOST_FILE_BYTES = 700 * KB; // of the server's limit of 1 MiB, in base64
 const form = { verdict: null, file: null, timer: 0 };
 
-export const startForm = (number) => Object.assign(form, { id: number, verdict: null, file: null });
+export const startForm = (number) => Object.assign(form, { id: number, verdict: null, file: null, before: null });
+export const hasForm = () => Boolean(fieldsNow());
+
+// Fields of an order: column, words, attributes, class.
+const FIELDS = [["customer", "Customer", { maxlength: 100 }], ["phone", "Phone", { type: "tel", maxlength: 40 }], ["address", "Address", { maxlength: 200 }, "wide"],
+  ["window_from", "From", { type: "datetime-local" }], ["window_to", "To", { type: "datetime-local" }],
+  ["mass_kg", "Weight, kg", { inputmode: "decimal" }], ["priority", "Priority", {}],
+  ["lat_deg", "Latitude", { inputmode: "decimal" }], ["lon_deg", "Longitude", { inputmode: "decimal" }], ["alt_amsl_m", "Ground height, m (empty: the day's)", { inputmode: "decimal" }, "wide"],
+  ["note", "Note for the drop", { maxlength: 500 }, "wide"]];
+const NUMBERS = ["mass_kg", "lat_deg", "lon_deg", "alt_amsl_m"];
+const TIMES = ["window_from", "window_to"];
+const fieldsNow = () => document.querySelector("#card form.order-form")?.elements;
+
+function inputs(values) {
+  return FIELDS.map(([name, words, attributes, kind = ""]) => html("label", { class: kind }, words, name === "priority"
+    ? html("select", { name }, ["normal", "urgent"].map((one) => html("option", { value: one, selected: one === values.priority }, one)))
+    : html("input", { type: "text", name, autocomplete: "off", "data-check": true, value: values[name] ?? null, ...attributes })));
+}
 
 export function newOrderCard() {
-  const field = (name, words, attributes = {}, kind = "") => html("label", { class: kind }, words, html("input", { type: "text", name, autocomplete: "off", "data-check": true, ...attributes }));
   return [header("New order", "At the desk as soon as you save it"),
-    html("form", { class: "form", "data-key": "new", "data-submit": "save-order" },
-      field("id", "Order", { value: form.id, maxlength: 40 }), field("mass_kg", "Weight, kg", { inputmode: "decimal" }),
-      field("lat_deg", "Latitude", { inputmode: "decimal" }), field("lon_deg", "Longitude", { inputmode: "decimal" }),
-      html("p", { class: "muted wide" }, "Click the map to set the pin."),
-      field("alt_amsl_m", "Ground height, m (empty: the day's)", { inputmode: "decimal" }, "wide"),
-      field("note", "Note for the drop", { maxlength: 500 }, "wide"), verdict()),
+    html("form", { class: "form order-form", "data-key": "new", "data-submit": "save-order" },
+      html("label", { class: "wide" }, "Order", html("input", { type: "text", name: "id", autocomplete: "off", "data-check": true, maxlength: 40, value: form.id })),
+      inputs({}), html("p", { class: "muted wide" }, "Click the map to set the pin."), verdict()),
     html("footer", {}, button("Save order", "save-order", "", { class: "primary", disabled: !live.now || !form.verdict?.ok }), button("Discard", "close", "", { class: "quiet" }))];
 }
+
+// What the state does not permit, the desk refuses with its reason.
+export function editForm(id, order) {
+  form.before ??= valuesOf(order);
+  return html("form", { class: "form order-form ask", "data-key": `edit ${id}`, "data-submit": "save-change" }, html("h3", { class: "wide" }, `Change ${id}`), inputs(form.before),
+    html("p", { class: "muted wide" }, "A new place or weight takes the order from a drone on the ground and plans it again."), verdict(),
+    html("div", { class: "acts wide" }, button("Save change", "save-change", "", { class: "primary", disabled: !live.now || form.verdict?.ok === false }), button("Discard", "ask", "", { class: "quiet" })));
+}
+
+function valuesOf({ customer = "", phone = "", address = "", note = "", mass_kg: kg, priority, earliest_us: from, latest_us: to, at }) {
+  return { customer, phone, address, note, mass_kg: String(kg), priority: priority ? "urgent" : "normal", lat_deg: String(at[0]), lon_deg: String(at[1]), alt_amsl_m: "", window_from: localValue(from), window_to: localValue(to) };
+}
+
+const localValue = (us) => (us === undefined ? "" : new Date(us / 1000 - 60_000 * new Date(us / 1000).getTimezoneOffset()).toISOString().slice(0, 16));
+const isoValue = (local) => (local ? new Date(local).toISOString().replace(/\.\d+/, "") : ""); // in the zone of this browser
 
 const verdict = () => html("p", { class: `verdict wide${form.verdict && !form.verdict.ok ? " bad" : ""}`, role: "status" }, form.verdict ? [icon(form.verdict.can ? "tick" : "caution"), html("span", {}, form.verdict.words)] : "Give position and weight: the desk then says whether it can be flown.");
 
 export function setPin([lat, lon], redraw) {
-  const fields = document.querySelector('#card form[data-key="new"]')?.elements;
-  if (!fields) return;
+  const fields = fieldsNow();
   [fields.lat_deg.value, fields.lon_deg.value] = [lat.toFixed(6), lon.toFixed(6)];
   checkSoon(redraw);
 }
 
 export function pin() {
-  const fields = document.querySelector('#card form[data-key="new"]')?.elements;
+  const fields = fieldsNow();
   const at = fields && [Number(fields.lat_deg.value), Number(fields.lon_deg.value)];
   return at && at.every(Number.isFinite) && at[0] ? at : null;
 }
 
 function cells() {
-  const fields = document.querySelector('#card form[data-key="new"]').elements;
-  return Object.fromEntries(["id", "mass_kg", "lat_deg", "lon_deg", "alt_amsl_m", "note"].map((name) => [name, fields[name].value.trim()])
-    .map(([name, value]) => [name, ["id", "note"].includes(name) ? value : value.replace(",", ".")]).filter(([, value]) => value));
+  const fields = fieldsNow();
+  const read = ([name]) => [name, NUMBERS.includes(name) ? fields[name].value.trim().replace(",", ".") : TIMES.includes(name) ? isoValue(fields[name].value) : fields[name].value.trim()];
+  return Object.fromEntries([...(fields.id ? [["id", fields.id.value.trim()]] : []), ...FIELDS.map(read)]);
 }
+
+// The fields that differ from the order's; an empty one removes the value.
+function changes() {
+  const before = { ...form.before, ...Object.fromEntries(TIMES.map((name) => [name, isoValue(form.before[name])])) };
+  return Object.fromEntries(Object.entries(cells()).filter(([name, value]) => value !== before[name]));
+}
+
+const given = (table) => Object.fromEntries(Object.entries(table).filter(([, value]) => value));
 
 export function checkSoon(redraw) {
   clearTimeout(form.timer);
   form.timer = setTimeout(async () => {
-    const asked = cells();
+    if (!fieldsNow()) return;
+    const asked = given(cells());
     if (!asked.mass_kg || !asked.lat_deg || !asked.lon_deg) return;
-    form.verdict = await checked({ do: "add", cells: asked, check: true });
+    form.verdict = await checked({ do: "add", cells: { id: "changed", ...asked }, check: true });
     redraw();
   }, CHECK_MS);
 }
@@ -65,9 +101,11 @@ async function checked(deed) {
 }
 
 export async function saveOrder() {
-  const asked = cells();
+  const asked = given(cells());
   return (await send(`Order ${asked.id}`, { do: "add", cells: asked })) ? asked.id : null;
 }
+
+export const saveChange = (id) => send(`Change of ${id}`, { do: "change", order: id, cells: changes() });
 
 // --- a file ---------------------------------------------------------------------------------------
 

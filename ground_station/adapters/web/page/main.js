@@ -4,7 +4,7 @@ import { $, keyed, html, morph, remembering, say, set } from "./dom.js";
 import { drawBoard, drawDriverList, driverCsv, saveFile as saveCsv, setChip, setSearch } from "./board.js";
 import { cardOf } from "./card.js";
 import { drawDay } from "./day.js";
-import { checkSoon, fileChosen, importCard, mayAdd, newOrderCard, pin, saveFile, saveOrder, setPin, startForm } from "./forms.js";
+import { checkSoon, fileChosen, hasForm, importCard, mayAdd, newOrderCard, pin, saveChange, saveFile, saveOrder, setPin, startForm } from "./forms.js";
 import { bindKeys } from "./keys.js";
 import { Drawing } from "./map.js";
 import { droneRow, emptyState, LEVELS, listOrder, mapTools, needsYou, phoneTabs, topBar } from "./panels.js";
@@ -63,7 +63,7 @@ function shared() {
   const items = state.picture.attention ?? NONE;
   when("alerts", [items], () => { state.alerts = alertsOf(items); });
   const time = nowUs();
-  return { ...state, items, select, nowUs: time, second: Math.floor(time / 1e6), isPast: Boolean(past), link: linkOf(), reach: reachOf(time), plainGround: !state.picture.basemap || state.basemapBroken, pin: state.selected === "new" ? pin() : null, covered: coveredBoxes };
+  return { ...state, items, select, nowUs: time, second: Math.floor(time / 1e6), isPast: Boolean(past), link: linkOf(), reach: reachOf(time), plainGround: !state.picture.basemap || state.basemapBroken, pin: hasForm() ? pin() : null, covered: coveredBoxes };
 }
 
 const isEmpty = ({ orders, drones, plan }) => state.heardMs !== null && !plan && ![orders, drones].some((table) => Object.keys(table ?? {}).length);
@@ -87,7 +87,7 @@ function drawLists(now) {
   when("list", [picture.drones, picture.orders, selected, second, state.isLost, state.scrolled], () => drawList(picture, now));
   $("#board").hidden = !["orders", "driver"].includes(shownView);
   if (shownView === "orders") when("board", [picture.orders, picture.drones, picture.plan, selected, state.searched, me.mayOrder, second], () => drawBoard($("#board"), picture, now));
-  if (shownView === "driver") when("driver", [picture.orders, picture.plan, second], () => drawDriverList($("#board"), picture, now.nowUs));
+  if (shownView === "driver") when("driver", [picture.orders, picture.manifest, second], () => drawDriverList($("#board"), picture, now.nowUs));
   when("day", [picture.plan, picture.orders, Math.floor(second / DAY_S), selected, sizes.day, shownView], () => drawDay($("#day"), picture, now, sizes.day));
 }
 
@@ -172,7 +172,7 @@ function reachOf(time) {
 }
 
 function select(name) {
-  Object.assign(state, { selected: name || null, history: null, reach: null, asking: null });
+  Object.assign(state, { selected: name || null, history: null, reach: null, record: null, asking: null });
   if (name === "new") startForm(nextOrderId());
   if (name === "import") startForm("");
   history.replaceState(null, "", name ? `#${encodeURIComponent(name)}` : location.pathname);
@@ -186,19 +186,24 @@ function nextOrderId() {
   return last.replace(/\d+$/, (digits) => String(Number(digits) + 1).padStart(digits.length, "0"));
 }
 
-async function answer(question, name) {
+async function answer(question, name, key = "vehicle") {
   const at = past ? `&t_us=${past.tUs}` : "";
-  const found = await askServer(`/${question}.json?vehicle=${encodeURIComponent(name)}${at}`);
+  const found = await askServer(`/${question}.json?${key}=${encodeURIComponent(name)}${at}`);
   return found?.status === 200 ? found.json() : null; // 204: unknown
 }
 
 async function askForSelected() {
   const asked = state.selected;
-  if (!state.picture.drones?.[asked] || state.isLost) return;
+  if (state.picture.orders?.[asked] && !past && !state.isLost) {
+    const record = await answer("order", asked, "order");
+    if (asked === state.selected) Object.assign(state, { record });
+    return redraw();
+  }
+  if (!state.picture.drones?.[asked] || state.isLost) return undefined;
   const [history, reach] = await Promise.all([answer("history", asked), answer("reach", asked)]);
-  if (asked !== state.selected) return;
+  if (asked !== state.selected) return undefined;
   Object.assign(state, { history, reach });
-  redraw();
+  return redraw();
 }
 
 function places() {
@@ -227,7 +232,7 @@ function stepThrough(names, by) {
 }
 
 function mapClicked(at, touch) {
-  if (state.selected === "new") return setPin(view.position(at), redraw);
+  if (hasForm()) return setPin(view.position(at), redraw);
   const found = drawing.symbolsAt(at, touch);
   if (!found.length) return;
   const next = found[found.indexOf(state.selected) + 1] ?? found[0];
@@ -320,6 +325,7 @@ const DEEDS = {
     const [kind, subject, settled] = words.split(" ");
     if (subject && subject !== state.selected) select(subject);
     state.asking = kind ? { kind, subject, settled } : null;
+    if (kind === "edit") startForm("");
     redraw();
   },
   seen: (key) => { const item = state.picture.attention.find((one) => one.key === key); state.seen.get(key) === item?.level ? state.seen.delete(key) : state.seen.set(key, item?.level); redraw(); },
@@ -330,9 +336,10 @@ const DEEDS = {
   "sign-in": async () => { if (await signIn($("#token").value.trim(), follow)) select(null); },
   "sign-out": () => signIn(null, follow),
   "save-order": async () => { const id = await saveOrder(); if (id) select(id); },
+  "save-change": async () => { const id = state.asking?.subject; if (id && await saveChange(id)) { state.asking = null; askForSelected(); redraw(); } },
   "save-file": async () => { if (await saveFile()) select(null); },
   print: () => print(),
-  csv: () => saveCsv("driver.csv", driverCsv(state.picture)),
+  csv: () => saveCsv("driver.csv", driverCsv(state.picture, nowUs())),
 };
 
 document.addEventListener("click", (event) => {

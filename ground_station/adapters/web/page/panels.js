@@ -51,14 +51,14 @@ export function topBar(picture, { nowUs, link, view, isPast }) {
 
 // --- the attention list ---------------------------------------------------------------------------
 
-export function needsYou(items, { nowUs, seen, isPast, selected }) {
+export function needsYou(items, { nowUs, seen, isPast, selected, picture }) {
   return [
     html("h2", {}, isPast ? `Needed you at ${clock(nowUs)}` : "Needs you", html("span", { class: `badge${items.length ? "" : " none"}` }, String(items.length)), html("small", {}, "A: next")),
-    items.length ? items.map((item) => attentionItem(item, seen, isPast, selected)) : html("p", { class: "calm" }, icon("tick"), "Nothing needs you"),
+    items.length ? items.map((item) => attentionItem(item, seen, isPast, selected, picture.orders)) : html("p", { class: "calm" }, icon("tick"), "Nothing needs you"),
   ];
 }
 
-function attentionItem(item, seen, isPast, selected) {
+function attentionItem(item, seen, isPast, selected, orders) {
   const folded = seen.get(item.key) === item.level;
   const acts = isPast ? [] : item.acts ?? [];
   return html("article", { class: `alert ${item.level}${folded ? " folded" : ""}${item.who === selected ? " chosen" : ""}`, "data-key": item.key, "aria-label": item.title },
@@ -66,14 +66,16 @@ function attentionItem(item, seen, isPast, selected) {
     html("div", { class: "what" },
       html("h3", {}, button(item.title, "show", item.who, { class: "plain" }), item.since_us && html("time", {}, `since ${seconds(item.since_us)}`)),
       !folded && item.words && html("p", {}, timed(item.words, item.times)),
-      !folded && !isPast && html("div", { class: "acts" }, acts.map((act) => actionButton(act, item)), button("Seen", "seen", item.key, { class: "quiet" }))));
+      !folded && !isPast && html("div", { class: "acts" }, acts.map((act) => actionButton(act, item, orders?.[item.who])), button("Seen", "seen", item.key, { class: "quiet" }))));
 }
 
-function actionButton(act, { who }) {
+function actionButton(act, { who }, order) {
   const [does, subject] = act.split(" ");
   switch (does) {
     case "show": return button("Show", "show", who);
     case "launch": return command(`Launch ${who}`, { do: "confirm", order: subject }, "primary");
+    case "call": return order?.phone && html("a", { class: "button", href: `tel:${order.phone.replaceAll(" ", "")}` }, "Call");
+    case "edit": return me.mayOrder && button("Move\u2026", "ask", `edit ${subject}`);
     case "recall": return command(`Recall ${who}`, { do: "recall", vehicle: who }, "danger");
     case "release": return command(`Release ${who}`, { do: "release", vehicle: who });
     case "hold": return me.mayOrder && button("Hold\u2026", "ask", `hold ${who}`);

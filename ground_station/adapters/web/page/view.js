@@ -102,6 +102,8 @@ export class View {
   }
 
   #touch() {
+    const half = Math.min(0.5, this.height / 2 / this.scale); // MapLibre shows nothing beyond the poles, either
+    this.y = Math.min(1 - half, Math.max(half, this.y));
     this.movedMs = performance.now();
     clearTimeout(this.rest);
     this.rest = setTimeout(this.moved, REST_MS + 1);

@@ -29,6 +29,14 @@ export function age(s) {
   return s < 120 ? `${Math.round(s)} s` : `${Math.round(s / 60)} min`;
 }
 
+// The delivery window, with its date unless it is today's.
+export function windowWords({ earliest_us: from, latest_us: to }, nowUs) {
+  const first = from ?? to;
+  if (first === undefined) return "";
+  const day = date(first) === date(nowUs) ? "" : `${date(first)} `;
+  return day + (from === undefined ? `by ${clock(to)}` : to === undefined ? `from ${clock(from)}` : `${clock(from)}\u2013${date(from) === date(to) ? "" : `${date(to)} `}${clock(to)}`);
+}
+
 const signed = (value) => (Math.round(value) < 0 ? `\u2212${Math.abs(Math.round(value))}` : `+${Math.round(value)}`);
 export const wattHours = (value) => `${signed(value)} Wh`;
 export const spare = (drone) => (drone.margin_wh === undefined ? "" : wattHours(drone.margin_wh)

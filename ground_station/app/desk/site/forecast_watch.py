@@ -104,7 +104,7 @@ class ForecastMonitor:
     _score_logged_s: float | None = None
     _was_biased: bool = False
     _end_is_logged: bool = False
-    _order_positions: dict[str, Ned] = field(default_factory=dict)
+    _order_positions: dict[Order, Ned] = field(default_factory=dict)
     _drone_types: list[Drone] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -265,10 +265,10 @@ class ForecastMonitor:
         )
 
     def _customer_position_ned_m(self, order: Order) -> Ned:
-        if order.id not in self._order_positions:
+        if order not in self._order_positions:
             frame = depot_frame(self.data.day.depot.location)
-            self._order_positions[order.id] = location_to_ground_ned_m(frame, order_location(order))
-        return self._order_positions[order.id]
+            self._order_positions[order] = location_to_ground_ned_m(frame, order_location(order))
+        return self._order_positions[order]
 
     # --- open orders of a depot ----------------------------------------------------------------
 

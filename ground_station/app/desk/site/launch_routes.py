@@ -39,6 +39,7 @@ class LaunchRoutes:
     orders: dict[str, Order] = field(default_factory=dict)
     sorties: dict[str, SortieRow] = field(default_factory=dict)
     _layers: DepotLayers = field(init=False)
+    _read_ids: set[str] = field(default_factory=set[str])
 
     def __post_init__(self) -> None:
         self._layers = DepotLayers(self.data.day.mission, MAX_HEIGHT_AGL_M)
@@ -46,11 +47,11 @@ class LaunchRoutes:
     def refresh_assignments_in_force(self) -> list[AssignmentRow]:
         """Read the drones' assignments in force, with their orders and sorties."""
         rows = [r for r in self.store.assignments(in_force=True) if r.vehicle != TRUCK]
-        order_ids = {row.order_id for row in rows}
-        known = {name: order for name, order in self.orders.items() if name in order_ids}
-        if new := order_ids - known.keys():
-            known |= {o.order.id: o.order for o in self.store.orders_by_id(new)}
-        self.orders = known
+        ids = {row.id for row in rows}
+        if ids != self._read_ids:  # a person may have changed an order that was withdrawn
+            found = self.store.orders_by_id({row.order_id for row in rows})
+            self.orders = {one.order.id: one.order for one in found}
+            self._read_ids = ids
         self.sorties = {sortie.id: sortie for sortie in self.find_sorties()} if rows else {}
         return rows
 

@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from collections import defaultdict
+from collections.abc import Collection
 from functools import cached_property
 from threading import Lock
 from typing import Any
@@ -123,15 +124,15 @@ class ReplayDataSource:
     # --- a moment ------------------------------------------------------------------------------
 
     def _map_snapshot_at(self, t_us: int) -> MapSnapshot:
-        store_snapshot = self._store_snapshot_at(t_us)
+        decisions = FlightDecisions()
+        for one in self._decisions_until(t_us):
+            decisions.record_decision(ReceivedDecision(one.received_us, one.event))
+        store_snapshot = self._store_snapshot_at(t_us, decisions.releases)
         status, tracks = FleetStatus(), dict[str, VehicleTrack]()
         for state, track in self._states_and_tracks_at(store_snapshot.rows, t_us):
             status.record_liveliness_change(state.vehicle, state.instance_id, has_joined=True)
             status.record_state_and_new_doubts(state, t_us / 1e6, t_us)
             tracks[state.vehicle] = track
-        decisions = FlightDecisions()
-        for one in self._decisions_until(t_us):
-            decisions.record_decision(ReceivedDecision(one.received_us, one.event))
         return MapSnapshot(
             t_us / 1e6,
             status,
@@ -146,7 +147,7 @@ class ReplayDataSource:
         end = bisect_right(self._decisions, t_us, key=lambda one: one.received_us)
         return self._decisions[:end]
 
-    def _store_snapshot_at(self, t_us: int) -> StoreSnapshot:
+    def _store_snapshot_at(self, t_us: int, released: Collection[str]) -> StoreSnapshot:
         past = self._store
         if past is None:
             return StoreSnapshot()
@@ -163,7 +164,7 @@ class ReplayDataSource:
             day,
             past.holds_in_force_at(t_us),
         )
-        return StoreSnapshot.from_rows(rows, past.measured_wind_at(t_us))
+        return StoreSnapshot.from_rows(rows, past.measured_wind_at(t_us), released)
 
     def _states_and_tracks_at(
         self, rows: DisplayRows, t_us: int
