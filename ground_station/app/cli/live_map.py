@@ -146,6 +146,7 @@ def show_map(
         from ground_station.adapters.web.map_server import MapDataSources
         from ground_station.app.desk.site.station_desk import StationMonitor
         from ground_station.app.map.fleet_receiver import FleetListener
+        from ground_station.app.map.http_interface import openapi_document
         from ground_station.app.map.map_feed import MapPublisher
         from ground_station.app.map.map_view import MapView
         from ground_station.core.fleet.fleet_status import FleetStatus
@@ -173,6 +174,7 @@ def show_map(
             None,
             map_access,
             map_source.order_record_of,
+            openapi_document,
         )
         _serve_until_signal(
             server, data_sources, f"the map of {name}", map_source.listen_and_publish_due_picture
