@@ -60,9 +60,8 @@ class MapDataSources:
     """Data sources of the page besides the stream; each is called in the server's thread.
 
     `history(vehicle)`, `reachable_area(vehicle)` and `order(id)` return JSON data, or None if
-    unknown. With
-    `past` the page shows the past and the stream stays silent. Without `access`, commands are
-    disabled and every client can see the map.
+    unknown; `openapi()` describes all. With `past` the page shows the past and the stream stays
+    silent. Without `access`, commands are disabled and every client can see the map.
     """
 
     stream: LiveStream
@@ -72,6 +71,7 @@ class MapDataSources:
     past: PastDataSources | None = None
     access: MapAccess | None = None
     order: Callable[[str], Any] = lambda order: None
+    openapi: Callable[[], Any] = lambda: None
 
 
 class MapServer:
@@ -167,6 +167,7 @@ def _live_routes(sources: MapDataSources) -> list[BaseRoute]:
         Route("/history.json", _vehicle_json_endpoint(sources.history)),
         Route("/reach.json", _vehicle_json_endpoint(sources.reachable_area)),
         Route("/order.json", _vehicle_json_endpoint(sources.order, "order")),
+        Route("/openapi.json", _json_endpoint(sources.openapi)),
     ]
 
 

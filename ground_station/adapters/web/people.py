@@ -18,14 +18,22 @@ from ground_station.core.people.map_command_messages import WebCommand
 from ground_station.core.people.person import DeskOperator
 from ground_station.core.people.web_tokens import TokenRegistry
 
-COMMANDS_PATH = "/deeds"
+COMMANDS_PATH = "/commands"
 MAX_BODY_BYTES = 1 << 20
 """A file of orders, in base64."""
 
 MAX_TOKEN_LENGTH = 256
 JSON = "application/json"
 BEARER = "bearer "
-PUBLIC_PATHS = ("/", "/me.json", "/basemap.pmtiles", "/healthz", "/readyz", COMMANDS_PATH)
+PUBLIC_PATHS = (
+    "/",
+    "/me.json",
+    "/basemap.pmtiles",
+    "/healthz",
+    "/readyz",
+    "/openapi.json",
+    COMMANDS_PATH,
+)
 PUBLIC_FOLDERS = ("/page/", "/assets/")
 """Paths without fleet data, or that handle the token themselves."""
 
@@ -127,7 +135,7 @@ async def _read_body(request: Request) -> bytes | None:
 
 
 def _problem_response(status: int, message: str) -> Response:
-    return _json_response({"trouble": safe_text(message)}, status)
+    return _json_response({"error": safe_text(message)}, status)
 
 
 def _json_response(content: Any, status: int = 200) -> Response:

@@ -146,6 +146,7 @@ def show_map(
         network = resources.enter_context(closing(options.open_fleet_network(name)))
 
         from ground_station.adapters.web.map_server import MapDataSources
+        from ground_station.app.map.http_interface import openapi_document
         from ground_station.app.map.map_view import MapView
 
         notes = (OPEN_WARNING,) if options.open_network else ()
@@ -159,6 +160,7 @@ def show_map(
             None,
             map_access,
             map_source.order_record_of,
+            openapi_document,
         )
         _serve_until_signal(
             server, data_sources, f"the map of {name}", map_source.listen_and_publish_due_picture

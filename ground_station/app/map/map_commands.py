@@ -68,7 +68,7 @@ class OperatorCommands:
                 report = self._add_orders(command, issuer)
             case _:
                 report = self._execute_store_command(command, issuer)
-        return {"words": report.messages, "look": report.checks}
+        return {"messages": report.messages, "checks": report.checks}
 
     def _recall(self, command: RecallDrone, issuer: str) -> CommandReport:
         messages, checks = list[str](), list[str]()

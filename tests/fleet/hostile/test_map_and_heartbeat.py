@@ -64,7 +64,7 @@ def test_idle_connections_refuse_nobody(held, monkeypatch, calls, guarded):
 UNFINISHED = {
     "nothing": b"",
     "half a request": b"GET / HTTP/1.1\r\nHost: ",
-    "half a body": b"POST /deeds HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n{",
+    "half a body": b"POST /commands HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n{",
 }
 
 

@@ -133,7 +133,9 @@ def served(
     history = [{"t_us": NOW_US - 10**6 * k, "margin_wh": 36.0} for k in range(60, 0, -1)]
     span = {"from_us": NOW_US, "to_us": NOW_US + 60_000_000, "marks": []}
     past = PastDataSources(lambda: span, lambda t: shown, lambda v, t: history, lambda v, t: None)
-    access = MapAccess(lambda: book, execute or (lambda who, deed: {"words": ["ok"], "look": []}))
+    access = MapAccess(
+        lambda: book, execute or (lambda who, deed: {"messages": ["ok"], "checks": []})
+    )
     server.start_serving(
         MapDataSources(
             stream, lambda v: history, lambda v: reach(), None, past if is_past else None, access

@@ -24,7 +24,7 @@ PATHS = [
     "/history.json?vehicle=d1",
     "/nothing",
     "/events",
-    "/deeds",
+    "/commands",
 ]
 PATIENCE_S = 30.0
 

@@ -108,18 +108,18 @@ def test_with_an_identity_an_order_is_the_members_who_signs_it_and_a_viewers_sig
             until(lambda: "Ctrl-C ends it" in (tmp_path / "map.out").read_text())
             mine = {"authorization": f"Bearer {token}"}
             deed = {"do": "recall", "vehicle": "d1"}
-            answer = httpx.post(f"{address}/deeds", json=deed, headers=mine, timeout=60.0)
+            answer = httpx.post(f"{address}/commands", json=deed, headers=mine, timeout=60.0)
             showing.kill()
             (tmp_path / "map.out").unlink()
             return answer
 
         refused = recalled_by("otto")
         assert refused.status_code == 409
-        assert "viewer" in refused.json()["trouble"]
+        assert "viewer" in refused.json()["error"]
         assert vehicle.done == []
         done = recalled_by("anna")
-        assert (done.status_code, done.json()["look"]) == (200, []), done.json()
-        assert any("done" in words for words in done.json()["words"])
+        assert (done.status_code, done.json()["checks"]) == (200, []), done.json()
+        assert any("done" in words for words in done.json()["messages"])
     (command,) = vehicle.done
     assert isinstance(command.action, Recall)
     assert ("bert by way of anna", "hold") in audit(url)

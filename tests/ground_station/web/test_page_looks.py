@@ -41,7 +41,7 @@ def open_page(chromium, town) -> Iterator:
 
         def execute(who: Any, deed: Any) -> dict[str, Any]:
             done.append((who.name, deed))
-            return {"words": ["ok"], "look": []}
+            return {"messages": ["ok"], "checks": []}
 
         def opened(size: str = "desk", selected: str = "", *, past: bool = False, **context: Any):
             address = held.enter_context(served(town, execute, is_past=past))

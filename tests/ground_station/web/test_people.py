@@ -27,6 +27,7 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.web.map_server import MapDataSources, MapServer
 from ground_station.adapters.web.people import MapAccess
 from ground_station.app.cli.main import app
+from ground_station.app.map.http_interface import openapi_document
 from ground_station.app.map.map_commands import OperatorCommands
 from ground_station.core.people.audit_chain import find_chain_faults
 from ground_station.core.people.web_tokens import USER_ROLES, TokenRegistry
@@ -69,7 +70,7 @@ class Desk:
         if token is not None:
             headers["authorization"] = f"Bearer {token}"
         names = {name.replace("_", "-"): value for name, value in headers.items()}
-        where = f"{self.address}/deeds"
+        where = f"{self.address}/commands"
         if isinstance(content, str):
             return httpx.post(where, content=content, headers=names, timeout=60.0)
         return httpx.post(where, json=content, headers=names, timeout=60.0)
@@ -91,6 +92,7 @@ def serve(site: MapSite, people: MapAccess) -> MapServer:
             feed.reachable_area_boundary,
             access=people,
             order=feed.order_record_of,
+            openapi=openapi_document,
         )
     )
     site.held.callback(server.close)
@@ -120,7 +122,7 @@ def desk(site: MapSite, tmp_path: Path) -> Iterator[Desk]:
 
 def test_without_people_there_is_no_way_to_send(site: MapSite):
     site.step()
-    assert httpx.post(f"{site.address}/deeds", json={"do": "recall"}).status_code == 405
+    assert httpx.post(f"{site.address}/commands", json={"do": "recall"}).status_code == 405
     assert httpx.get(f"{site.address}/me.json").json() == {
         "people": False,
         "may_order": False,
@@ -130,13 +132,13 @@ def test_without_people_there_is_no_way_to_send(site: MapSite):
 
 def test_a_hold_and_its_release_are_those_of_the_terminal(desk: Desk):
     done = desk.post({"do": "hold", "vehicle": "d2", "reason": "propeller"})
-    assert (done.status_code, done.json()["words"]) == (200, ["d2 is held by anna: propeller"])
+    assert (done.status_code, done.json()["messages"]) == (200, ["d2 is held by anna: propeller"])
     (hold,) = desk.site.store.holds_in_force()
     assert (hold.scope, hold.by, hold.reason) == ("d2", "anna", "propeller")
     done = desk.post({"do": "release", "vehicle": "d2"})
-    assert done.json()["words"] == ["released: d2 (was held by anna: propeller)"]
+    assert done.json()["messages"] == ["released: d2 (was held by anna: propeller)"]
     assert desk.site.store.holds_in_force() == []
-    assert desk.post({"do": "release", "vehicle": "d2"}).json()["look"] == [
+    assert desk.post({"do": "release", "vehicle": "d2"}).json()["checks"] == [
         "d2: no launch hold of its own"
     ]
     assert desk.audit()[-2:] == [("anna", "hold", "d2"), ("anna", "release", "d2")]
@@ -153,7 +155,7 @@ def test_a_settled_order_is_closed_with_who_said_it(desk: Desk):
     )
     assert ("anna", "settle", "H-101") in desk.audit()
     again = desk.post(deed)
-    assert (again.status_code, again.json()["trouble"]) == (
+    assert (again.status_code, again.json()["error"]) == (
         409,
         "order H-101: delivered, expected assigned or stuck or cancelled",
     )
@@ -169,14 +171,14 @@ def test_a_recall_goes_out_under_the_persons_name_and_holds(desk: Desk):
     assert all(isinstance(command.action, Recall) for command in line.sent)
     assert [hold.scope for hold in desk.site.store.holds_in_force()] == ["d1"]
     assert ("anna", "hold", "d1") in desk.audit()
-    (check,) = done.json()["look"]
+    (check,) = done.json()["checks"]
     assert check.startswith("d1 did not accept the recall: "), "this world's drones refuse it"
-    assert any("refused not now" in words for words in done.json()["words"])
+    assert any("refused not now" in words for words in done.json()["messages"])
 
 
 def test_a_launch_that_cannot_be_confirmed_says_why(desk: Desk):
     done = desk.post({"do": "confirm", "order": "H-108"})
-    assert (done.status_code, done.json()["trouble"]) == (409, "order H-108: no drone is assigned")
+    assert (done.status_code, done.json()["error"]) == (409, "order H-108: no drone is assigned")
 
 
 def test_who_has_no_token_or_only_looks_orders_nothing(desk: Desk):
@@ -186,7 +188,7 @@ def test_who_has_no_token_or_only_looks_orders_nothing(desk: Desk):
     for wrong in ("x", generate_random_token(), "x" * 1000):
         assert desk.post_with(wrong, deed).status_code == 401
     refused = desk.post(deed, "vera")
-    assert (refused.status_code, refused.json()["trouble"]) == (
+    assert (refused.status_code, refused.json()["error"]) == (
         409,
         "vera is a viewer: may not command",
     )
@@ -221,7 +223,7 @@ def test_another_page_of_the_browser_orders_nothing_even_with_a_token(desk: Desk
 def test_what_is_no_order_is_refused_in_words(desk: Desk, content):
     answer = desk.post(content, content_type="application/json")
     assert answer.status_code in (400, 409, 413)
-    assert answer.json()["trouble"]
+    assert answer.json()["error"]
     assert desk.site.store.holds_in_force() == []
     assert [command for line in desk.lines for command in line.sent] == []
 
@@ -343,26 +345,26 @@ CSV = "\ufeffid;lat_deg;lon_deg;mass_kg\r\nN-1;55,4702;8,4510;0,4\r\nN-2;55,4703
 def test_orders_are_checked_added_imported_and_cancelled_with_a_reason(desk: Desk):
     cells = {"id": "N-9", "lat_deg": "55.4710", "lon_deg": "8.4520", "mass_kg": "0.4"}
     checked = desk.post({"do": "add", "cells": cells, "check": True})
-    assert "N-9: can be flown from the depot" in checked.json()["words"][0]
+    assert "N-9: can be flown from the depot" in checked.json()["messages"][0]
     assert "N-9" not in {row.order.id for row in desk.site.store.orders()}
     far = desk.post({"do": "add", "cells": cells | {"lat_deg": "55.90"}, "check": True})
     assert "cannot be flown" in str(far.json()) or far.status_code == 409
     assert desk.post({"do": "add", "cells": cells}).status_code == 200
     content = base64.b64encode(CSV.encode("utf-8")).decode()
     file = {"do": "import", "file": "orders.csv", "content": content}
-    assert desk.post(file | {"check": True}).json()["words"][0] == "2 orders can be added"
-    assert desk.post(file).json()["words"][0] == "2 orders imported"
+    assert desk.post(file | {"check": True}).json()["messages"][0] == "2 orders can be added"
+    assert desk.post(file).json()["messages"][0] == "2 orders imported"
     orders = {row.order.id: row.order for row in desk.site.store.orders()}
     assert (orders["N-1"].lat_deg, orders["N-2"].mass_kg) == (55.4702, 0.3)
     assert orders["N-9"].alt_amsl_m == pytest.approx(12.0, abs=2.0), "the day's terrain"
     wrong = base64.b64encode(CSV.replace("0,3", "heavy").encode()).decode()
     refused = desk.post(file | {"content": wrong})
     assert refused.status_code == 409
-    assert "orders.csv, row 3, column mass_kg: 'heavy'" in refused.json()["trouble"]
+    assert "orders.csv, row 3, column mass_kg: 'heavy'" in refused.json()["error"]
     moved = {"do": "change", "order": "N-9", "cells": {"mass_kg": "0.5", "phone": "12"}}
-    assert "mass 0.4 -> 0.5" in desk.post(moved).json()["words"][0]
+    assert "mass 0.4 -> 0.5" in desk.post(moved).json()["messages"][0]
     wrong_cell = desk.post(moved | {"cells": {"mass_kg": "-1"}})
-    assert (wrong_cell.status_code, "mass_kg" in wrong_cell.json()["trouble"]) == (409, True)
+    assert (wrong_cell.status_code, "mass_kg" in wrong_cell.json()["error"]) == (409, True)
     assert desk.post({"do": "cancel", "order": "N-9", "reason": ""}).status_code == 400
     assert desk.post({"do": "cancel", "order": "N-9", "reason": "Wrong address"}).status_code == 200
     row = next(row for row in desk.site.store.orders() if row.order.id == "N-9")

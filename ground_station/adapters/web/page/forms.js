@@ -92,11 +92,11 @@ export function checkSoon(redraw) {
 }
 
 async function checked(deed) {
-  const answer = await post("/deeds", deed);
+  const answer = await post("/commands", deed);
   const found = await answer?.json().catch(() => null);
   if (!found) return { ok: false, words: "No connection: not checked" };
-  if (!answer.ok) return { ok: false, words: found.trouble };
-  const words = found.words.join(" ") || "The day is not known to the map: not checked";
+  if (!answer.ok) return { ok: false, words: found.error };
+  const words = found.messages.join(" ") || "The day is not known to the map: not checked";
   return { ok: true, can: !words.includes("cannot be flown"), words };
 }
 

@@ -82,12 +82,12 @@ function reasonOf(form) {
 // Posts a command and shows the result; returns it, or null.
 export async function send(words, deed) {
   tell(`${words}: sent, no reply yet`, "");
-  const answer = await post("/deeds", deed);
-  const found = await answer?.json().catch(() => ({ trouble: `error ${answer.status}` }));
+  const answer = await post("/commands", deed);
+  const found = await answer?.json().catch(() => ({ error: `status ${answer.status}` }));
   if (!answer) tell(`${words}: no connection, result unknown`, "lost");
   else if (answer.status === 401) tell(`${words}: refused: the token is no longer valid`, "lost");
-  else if (!answer.ok) tell(`${words}: refused: ${found.trouble}`, "lost");
-  else tell(`${words}: ${[...found.look, ...found.words].join("; ") || "done"}`, found.look.length ? "lost" : "");
+  else if (!answer.ok) tell(`${words}: refused: ${found.error}`, "lost");
+  else tell(`${words}: ${[...found.checks, ...found.messages].join("; ") || "done"}`, found.checks.length ? "lost" : "");
   redraw();
   return answer?.ok ? found : null;
 }
