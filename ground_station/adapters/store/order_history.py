@@ -46,7 +46,7 @@ def _assignment_entries(db: sa.Connection, order_id: str) -> Iterator[HistoryEnt
     for row in db.execute(query.order_by(t.assignments.c.n)):
         yield HistoryEntry(row.made_us, "", f"assigned to {row.vehicle}")
         if row.ended_us is not None:
-            state = "landed" if row.state == AssignmentState.DELIVERED.value else row.state
+            state = "ended" if row.state == AssignmentState.DELIVERED.value else row.state
             yield HistoryEntry(row.ended_us, row.vehicle, f"{state}: {row.why}".rstrip(": "))
 
 

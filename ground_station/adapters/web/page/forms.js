@@ -15,7 +15,7 @@ export const hasForm = () => Boolean(fieldsNow());
 
 // Fields of an order: column, words, attributes, class.
 const FIELDS = [["customer", "Customer", { maxlength: 100 }], ["phone", "Phone", { type: "tel", maxlength: 40 }], ["address", "Address", { maxlength: 200 }, "wide"],
-  ["window_from", "From", { type: "datetime-local" }], ["window_to", "To", { type: "datetime-local" }],
+  ["window_from", "From", { type: "datetime-local" }, "wide"], ["window_to", "To", { type: "datetime-local" }, "wide"],
   ["mass_kg", "Weight, kg", { inputmode: "decimal" }], ["priority", "Priority", {}],
   ["lat_deg", "Latitude", { inputmode: "decimal" }], ["lon_deg", "Longitude", { inputmode: "decimal" }], ["alt_amsl_m", "Ground height, m (empty: the day's)", { inputmode: "decimal" }, "wide"],
   ["note", "Note for the drop", { maxlength: 500 }, "wide"]];
@@ -40,8 +40,8 @@ export function newOrderCard() {
 // What the state does not permit, the desk refuses with its reason.
 export function editForm(id, order) {
   form.before ??= valuesOf(order);
-  return html("form", { class: "form order-form ask", "data-key": `edit ${id}`, "data-submit": "save-change" }, html("h3", { class: "wide" }, `Change ${id}`), inputs(form.before),
-    html("p", { class: "muted wide" }, "A new place or weight takes the order from a drone on the ground and plans it again."), verdict(),
+  return html("form", { class: "form order-form", "data-key": `edit ${id}`, "data-submit": "save-change" }, html("h3", { class: "wide" }, `Change ${id}`), inputs(form.before),
+    html("p", { class: "muted wide" }, "A new place or weight takes the order from a drone on the ground and plans it again."), form.verdict && verdict(),
     html("div", { class: "acts wide" }, button("Save change", "save-change", "", { class: "primary", disabled: !live.now || form.verdict?.ok === false }), button("Discard", "ask", "", { class: "quiet" })));
 }
 
