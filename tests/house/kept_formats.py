@@ -76,7 +76,8 @@ ADDED = {
     *("yaw_rate_rps", "tilt_rates_rps", "lat_lon_deg", "unanswered", "columns"),
     *("roster", "revoked_since", "recorded_s", "p_home_stated", "required_p_home"),
     *("p_home_next", "p_home_onward", "p_success_onward", "sites", "p_home_stated_min"),
-    *("low_spare_wh", "contact_timeout_s"),
+    *("low_spare_wh", "contact_timeout_s", "customer", "phone", "address", "earliest_us"),
+    *("latest_us", "priority", "service_s"),
 }
 """Keys that later versions write, too."""
 

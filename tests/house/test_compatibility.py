@@ -69,6 +69,7 @@ NO_FIXTURE = {
     "day-report/1": "a report for people, never read back",
     "leeway-signed/1": "a domain of signatures: the envelopes that are kept have them",
     "fleet-wind/1": "a study's result, never read back",
+    "order/1": "an order for people and order systems, never read back",
     "monitor-study/1": "a study's result, never read back",
     "rates/1": "a study's result, never read back",
     "reference-estimator/1": "another estimator's state within one replay, never on a disk",

@@ -20,7 +20,7 @@ import numpy as np
 from companion.core.base.probability import chi_square_upper_quantile
 from companion.core.certificate.certificate import MIN_DAYS, Certificate, percent_text
 from companion.core.certificate.support import COVERAGE
-from companion.core.return_budget.budget import RESOLVED_LOSS, ModelDoubt
+from companion.core.return_budget.assessment import RESOLVED_LOSS, ModelDoubt
 from companion.core.wind.process import WindProcessParams
 
 RETURN_S = 300.0

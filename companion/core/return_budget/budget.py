@@ -14,8 +14,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+from companion.core.return_budget.assessment import (
+    RESOLVED_LOSS,
+    Assessment,
+    GateParams,
+    ModelDoubt,
+)
 from companion.core.return_budget.leg_costs import LegTable
-from companion.core.return_budget.outcomes import Budget, OutcomeProbabilities, SiteMargin
+from companion.core.return_budget.outcomes import Budget, OutcomeProbabilities
 from companion.core.return_budget.power_need import PowerNeed
 from companion.core.return_budget.remaining_mission import RemainingMission, ReturnRoute, Stage
 from companion.core.return_budget.wind_samples import PathSampler
@@ -36,10 +42,6 @@ __all__ = [
     "Stage",
 ]
 
-SAMPLES = 256
-RESOLVED_LOSS = 1.0 / SAMPLES
-"""Smallest loss that is stated to people: the gate draws no rarer wind."""
-
 _ACCEPTED_LOSS_FACTORS = (3.0, 2.5, 2.0, 1.5, 1.0)
 """Accepted loss of one decision in multiples of `max_loss`, in the order tried at departure."""
 CONTINUE_REASON = "flying on keeps the promise"
@@ -59,74 +61,6 @@ def format_distinct_probabilities(low: float, high: float) -> tuple[str, str]:
 def reserve_margin_text(margin_wh: float) -> str:
     """Return the energy left above or below the reserve as text."""
     return f"{abs(margin_wh):.1f} Wh {'below' if margin_wh < 0.0 else 'above'} the reserve"
-
-
-@dataclass(frozen=True, slots=True)
-class GateParams:
-    """Risk parameters of the gate. `reserve_wh` is the energy that must remain after landing.
-
-    `min_success`: the gate turns back, at departure and in flight, if P(success) is lower: without
-    a delivery there is no reason to fly, however safe. Default: less than one delivery in twenty
-    flights; the 128 policy samples have a standard error of 0.02 there, so that it is not 0.
-    """
-
-    max_loss: float
-    reserve_wh: float
-    min_success: float = 0.05
-    samples: int = SAMPLES
-
-
-@dataclass(frozen=True, slots=True)
-class ModelDoubt:
-    """Upper credible bounds of the variance of changes of the wind and of the standard deviation of
-    the energy model, in multiples of the modelled ones (`RiskEvidence`).
-    """
-
-    wind_variance_factor: float = 1.0
-    model_std_factor: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Assessment:
-    """Result of the gate; probabilities as in docs/reference/outcomes.md.
-
-    `turn_back`: fly home now, to `best_landing`. `p_home_unattended`: P(home) without further
-    commands (None if no route home has unattended legs). `margin_wh`: energy above the need of
-    `required_p_home` by way of the best landing site, from the next decision point or, on the
-    return flight, from the current position. `energy_need_wh`: mean need of the whole remaining
-    mission.
-
-    The gate's decision follows from `required_p_home`, `p_home_next` (from the next decision point,
-    or a better one beyond it), `p_home_onward` and `p_success_onward` (if it flies on now) and
-    `p_home_now`, a diversion from `sites` (docs/reference/outcomes.md).
-    """
-
-    t_s: float
-    p_home: float
-    p_home_now: float
-    p_success: float
-    margin_wh: float
-    turn_back: bool
-    best_landing: str
-    p_home_unattended: float | None
-    energy_left_wh: float
-    energy_need_wh: float
-    reason: str
-    p_home_limit: float = 1.0
-    required_p_home: float = 1.0
-    p_home_next: float = 0.0
-    p_home_onward: float = 0.0
-    p_success_onward: float = 0.0
-    sites: tuple[SiteMargin, ...] = ()
-
-    @property
-    def p_home_stated(self) -> float:
-        """P(home) as stated to people: at most the limit of evidence."""
-        return min(self.p_home, self.p_home_limit)
-
-    def site_by_name(self, landing: str) -> SiteMargin | None:
-        """Return P(home) and margins of a landing site; None if no route leads there."""
-        return next((site for site in self.sites if site.landing == landing), None)
 
 
 @dataclass(frozen=True, slots=True)

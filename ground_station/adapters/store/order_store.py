@@ -30,7 +30,7 @@ from ground_station.adapters.store import hold_steps as holds
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
-from ground_station.adapters.store.order_changes import changed_order_ids
+from ground_station.adapters.store.orders.order_changes import changed_order_ids
 from ground_station.adapters.store.restored import apply_outcome
 from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import (

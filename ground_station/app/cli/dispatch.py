@@ -13,7 +13,7 @@ from companion.core.base.errors import LeewayError
 from companion.fleet.network import OPEN_MARK, OPEN_WARNING
 from companion.fleet.service_manager import record_stop_signals
 from ground_station.adapters.clock import epoch_us, monotonic_s
-from ground_station.app.cli.order import (
+from ground_station.app.cli.orders.order import (
     add_orders_and_print_count,
     depot_assigner,
     print_infeasible_orders,

@@ -11,7 +11,6 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import monotonic_s
-from ground_station.app.cli.live_map import open_map_publisher
 from ground_station.app.options.desk_options import DeskOptions, desk_options, read_day_and_warn
 from ground_station.app.options.program_options import command_class_with_options
 from ground_station.app.options.settings_file import SETTINGS_FILE
@@ -147,6 +146,7 @@ def _check_fleet(
 ) -> Iterator[Finding]:
     """Listen, then report contact and the items of the attention list."""
     from ground_station.app.map.map_view import MapView
+    from ground_station.app.map.open_map import open_map_publisher
 
     try:
         network = options.open_fleet_network(fleet)
@@ -159,10 +159,11 @@ def _check_fleet(
         while monotonic_s() < end_s:
             publisher.listen_and_publish_due_picture()
         picture = publisher.build_picture(monotonic_s())
-    yield from _fleet_findings(fleet, picture, seconds)
+    yield from fleet_findings(fleet, picture, seconds)
 
 
-def _fleet_findings(fleet: str, picture: dict[str, Any], seconds: float) -> Iterator[Finding]:
+def fleet_findings(fleet: str, picture: dict[str, Any], seconds: float) -> Iterator[Finding]:
+    """Yield the findings on network, desk and vehicles, from the map's picture."""
     heard = {name: one for name, one in picture.get("drones", {}).items() if "heard_us" in one}
     if heard or "desk_heard_us" in picture:
         yield Finding("network", f"drones of {fleet} in contact: {len(heard)}")

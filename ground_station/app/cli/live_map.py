@@ -27,13 +27,9 @@ from ground_station.app.options.desk_options import (
 from ground_station.app.options.program_options import command_class_with_options
 
 if TYPE_CHECKING:
-    from ground_station.adapters.store.order_store import Store
     from ground_station.adapters.web.map_server import MapDataSources, MapServer
     from ground_station.adapters.web.people import MapAccess
-    from ground_station.adapters.zenoh_fleet import ZenohFleet
     from ground_station.app.map.map_commands import OperatorCommands
-    from ground_station.app.map.map_feed import MapPublisher
-    from ground_station.app.map.map_view import MapView
     from ground_station.core.people.person import DeskOperator
     from ground_station.core.schema.day_data import DayData
 
@@ -148,6 +144,7 @@ def show_map(
         from ground_station.adapters.web.map_server import MapDataSources
         from ground_station.app.map.http_interface import openapi_document
         from ground_station.app.map.map_view import MapView
+        from ground_station.app.map.open_map import open_map_publisher
 
         notes = (OPEN_WARNING,) if options.open_network else ()
         view = MapView(name, data, notes, basemap is not None, download_outline_if_missing(basemap))
@@ -165,24 +162,6 @@ def show_map(
         _serve_until_signal(
             server, data_sources, f"the map of {name}", map_source.listen_and_publish_due_picture
         )
-
-
-def open_map_publisher(
-    view: "MapView", data: "DayData | None", network: "ZenohFleet", order_store: "Store"
-) -> "MapPublisher":
-    """Return the feed of a running fleet. `data`: its day; None: unknown."""
-    from ground_station.adapters.clock import WallClock
-    from ground_station.adapters.files.day_wind import create_site_wind
-    from ground_station.app.desk.site.station_desk import StationMonitor
-    from ground_station.app.map.fleet_receiver import FleetListener
-    from ground_station.app.map.map_feed import MapPublisher
-    from ground_station.core.fleet.fleet_status import FleetStatus
-
-    clock, wind = WallClock(), create_site_wind(data)
-    status = FleetStatus({} if data is None else data.airframes, trust=network.trust)
-    stations = StationMonitor.of_day(wind, data, clock, lambda message: None)
-    listener = FleetListener(network, clock, status, wind, stations)
-    return MapPublisher(view, listener, order_store, clock, network.certificate_expiry_dates)
 
 
 def _serve_until_signal(

@@ -19,9 +19,6 @@ from ground_station.app.cli import (
     ground,
     hold,
     live_map,
-    manifest,
-    order,
-    order_changes,
     pki,
     plan,
     ros2,
@@ -31,6 +28,7 @@ from ground_station.app.cli import (
     truck,
     wind_station,
 )
+from ground_station.app.cli.orders import manifest, order, order_changes
 from ground_station.app.options.desk_options import (
     DEFAULT_STORE,
     FleetName,

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import local_date
-from ground_station.adapters.store import order_changes
 from ground_station.adapters.store.audit_steps import MAX_TEXT_LENGTH
 from ground_station.adapters.store.hold_store import HoldStore
-from ground_station.adapters.store.order_history import delivery_proofs, record_photo
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.orders import order_changes
+from ground_station.adapters.store.orders.order_history import delivery_proofs, record_photo
 from ground_station.adapters.store.settle import SETTLED_FROM
 from ground_station.adapters.store.settle import (
     close_order_with_outcome as close_order_with_outcome,

@@ -14,8 +14,8 @@ from companion.core.base.probability import home_probability_text
 from companion.core.mission.alerts import Alert, is_text_of_any_alert
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.day_store import DayStore
-from ground_station.adapters.store.order_history import delivery_proofs
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.orders.order_history import delivery_proofs
 from ground_station.app.views.order_view import proof_text
 from ground_station.app.views.terminal import plain_table
 from ground_station.core.schema.order_window import format_window

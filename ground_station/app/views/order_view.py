@@ -10,8 +10,8 @@ from rich.text import Text
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us
-from ground_station.adapters.store.order_history import delivery_proofs, read_order_history
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.orders.order_history import delivery_proofs, read_order_history
 from ground_station.app.views.terminal import plain_table
 from ground_station.app.views.times import format_date_and_time
 from ground_station.core.schema.order_changes import order_cells

@@ -31,9 +31,7 @@ TEXT_LENGTHS = {"customer": 100, "phone": 40, "address": 200}
 MAX_EPOCH_US, MAX_SERVICE_S = 10**16, 7200.0
 
 
-class Order(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
-):
+class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One parcel to one destination. `alt_amsl_m`: height of the ground there (safety rule 8).
 
     `customer`, `phone`, `address` and `note` are for people and have no effect on decisions; no

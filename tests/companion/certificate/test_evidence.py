@@ -15,7 +15,8 @@ from companion.core.certificate.evidence import (
     RiskEvidence,
     variance_upper_factor,
 )
-from companion.core.return_budget.budget import RESOLVED_LOSS, Gate, GateParams, ModelDoubt
+from companion.core.return_budget.assessment import RESOLVED_LOSS, ModelDoubt
+from companion.core.return_budget.budget import Gate, GateParams
 from companion.core.vehicle.power_bias import ModelError
 from companion.core.wind.forecast import WindForecast
 from tests.companion.certificate.test_certificate import certificate

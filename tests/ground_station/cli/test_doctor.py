@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.cli.doctor import EXIT_TO_DO, _fleet_findings
+from ground_station.app.cli.doctor import EXIT_TO_DO, fleet_findings
 from ground_station.app.cli.main import app
 from ground_station.app.desk.operator_commands import add_orders
 from ground_station.core.schema.orders import Order
@@ -61,7 +61,7 @@ def test_items_of_the_attention_list_are_findings_and_calm_vehicles_are_ok():
         "desk_heard_us": 1,
         "attention": [item, launch],
     }
-    found = {one.subject: one for one in _fleet_findings("harbour", picture, 5.0)}
+    found = {one.subject: one for one in fleet_findings("harbour", picture, 5.0)}
     assert found["network"].text == "drones of harbour in contact: 3"
     assert [found[d].to_do for d in ("d4", "d2")] == ["", "34 m away."]
     assert found["d1"].to_do == "ground-station order launch A-7"

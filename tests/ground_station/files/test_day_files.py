@@ -122,7 +122,7 @@ def test_a_day_names_the_problems_of_all_its_files(tmp_path):
     for words in (
         "orders.csv, row 2, column lat_deg: 'x'",
         "nowhere.geojson: No such file",
-        "m999.toml: No such file",
+        "m999: no such airframe; names: ",
         "roads.csv, row 2, column a: '-5'",
     ):
         assert words in said

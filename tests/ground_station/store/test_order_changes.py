@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 from companion.core.base.errors import LeewayError
 from companion.core.mission.event_text import DecisionEvent
 from companion.fleet.messages import CommandStatus, EventKind, FleetEvent, Withdraw
-from ground_station.adapters.store.order_history import delivery_proofs
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.orders.order_history import delivery_proofs
 from ground_station.app.cli.main import app
 from ground_station.app.desk.operator_commands import cancel_order, change_order
 from ground_station.app.views.day_report import day_report_of, report_tables

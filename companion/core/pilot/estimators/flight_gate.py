@@ -4,11 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from companion.core.pilot.estimators.shared_wind import SOURCE_TEXT, FleetWindOutlook
+from companion.core.return_budget.assessment import ModelDoubt
 from companion.core.return_budget.budget import (
     Assessment,
     Gate,
     GateParams,
-    ModelDoubt,
     RemainingMission,
     is_more_cautious,
 )

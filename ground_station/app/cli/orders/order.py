@@ -11,7 +11,7 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.import_report import ImportReport
-from ground_station.app.cli.order_changes import (
+from ground_station.app.cli.orders.order_changes import (
     SIGNED_OPTIONS,
     Address,
     Customer,

@@ -1,0 +1,1 @@
+"""What people change of an order, and its history."""
