@@ -193,14 +193,15 @@ def cancel(
     order_id: OrderId,
     reason: Annotated[str, typer.Option(help="Recorded in the history.")],
 ) -> None:
-    """Cancel an order that is not assigned to a vehicle.
+    """Cancel an order. On the ground its assignment is withdrawn; in the air: recall first.
 
     ground-station order cancel H-101 --reason "customer asked"
     """
+    from ground_station.adapters.clock import epoch_us
     from ground_station.app.desk.operator_commands import cancel_order
 
     with desk_options().operator_and_store() as (by, store):
-        result = cancel_order(store, order_id, by, reason)
+        result = cancel_order(store, epoch_us, order_id, by, reason)
     for text in result.messages:
         typer.echo(text)
 

@@ -124,12 +124,13 @@ def add_orders(store: Store, orders: list[Order], by: str) -> CommandReport:
     return CommandReport([f"{len(result.added)} orders imported{known}"])
 
 
-def cancel_order(store: Store, order_id: str, by: str, reason: str = "") -> CommandReport:
-    """Cancel an order that no vehicle has. LeewayError if its state does not permit it."""
-    before, after = (OrderState.OPEN, OrderState.STUCK), OrderState.CANCELLED
-    if not store.change_order_state(order_id, before, after, by, reason):
-        raise order_state_error(store, order_id, before)
-    return CommandReport([f"{order_id}: {after.value}"])
+def cancel_order(
+    store: Store, epoch_us: EpochUs, order_id: str, by: str, reason: str
+) -> CommandReport:
+    """Cancel an order; withdraws it on the ground. LeewayError if its state does not permit it."""
+    return CommandReport(
+        [order_changes.cancel_order(store.database, epoch_us, order_id, by, reason)]
+    )
 
 
 def change_order(

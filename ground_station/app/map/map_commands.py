@@ -161,7 +161,7 @@ class OperatorCommands:
                     )
                 case CancelOrder():
                     return operator_commands.cancel_order(
-                        store, command.order, issuer, command.reason
+                        store, epoch_us, command.order, issuer, command.reason
                     )
                 case SettleOrder():
                     settled = ParcelOutcome(command.settled)

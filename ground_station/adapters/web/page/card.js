@@ -156,7 +156,7 @@ function proofPart(proof) {
 function orderCommands(id, kind) {
   if (!mayCommand()) return null;
   const settle = ["stuck", "van", "air"].includes(kind) && [["delivered", "Delivered\u2026"], ["lost", "Lost\u2026"], ["back", "Came back\u2026"]].map(([end, words]) => button(words, "ask", `settle ${id} ${end}`));
-  const cancel = ["open", "stuck"].includes(kind) && button("Cancel order\u2026", "ask", `cancel ${id}`, { class: "danger quiet" });
+  const cancel = ["open", "stuck", "van"].includes(kind) && button("Cancel order\u2026", "ask", `cancel ${id}`, { class: "danger quiet" });
   const edit = ["open", "stuck", "van", "air"].includes(kind) && button("Edit\u2026", "ask", `edit ${id}`);
   return settle || cancel || edit ? html("footer", {}, edit, settle, cancel) : null;
 }
