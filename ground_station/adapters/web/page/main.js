@@ -329,7 +329,7 @@ const DEEDS = {
     redraw();
   },
   seen: (key) => { const item = state.picture.attention.find((one) => one.key === key); state.seen.get(key) === item?.level ? state.seen.delete(key) : state.seen.set(key, item?.level); redraw(); },
-  command: (_, element) => commandClicked(element),
+  command: async (_, element) => { if (await commandClicked(element) && element.hasAttribute("data-reason")) DEEDS.ask(""); },
   zoom: (kind) => ({ plus: () => view.zoomBy(0.5), minus: () => view.zoomBy(-0.5), fit })[kind](),
   layer: (name) => { drawing.toggle(name); redraw(); },
   chip: (name) => { setChip(name); state.searched = {}; redraw(); },
@@ -357,6 +357,7 @@ document.addEventListener("input", ({ target }) => {
 document.addEventListener("change", ({ target }) => { if (target.id === "file" && target.files[0]) fileChosen(target.files[0], redraw); });
 document.addEventListener("keydown", (event) => {
   if (event.key === "Enter" && event.target.id === "token") { event.preventDefault(); DEEDS["sign-in"](); }
+  if (event.key === "Enter" && event.target.id === "search") $("#board tbody button")?.click();
 });
 
 const attended = () => [...new Set((state.picture.attention ?? []).map((one) => one.who))];
