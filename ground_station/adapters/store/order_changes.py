@@ -80,7 +80,7 @@ def cancel_order(
         if stage is OrderStage.ON_GROUND:
             text = f"the order was cancelled by {by}"
             day_steps.withdraw_before_launch(db, epoch_us(), assignment, by, text)
-        return f"{order_id}: {state}; {assignment.vehicle}: {assignment.id} withdrawn"
+        return f"{order_id}: {state}, withdrawn from {assignment.vehicle}"
 
 
 def _lock_order(

@@ -148,7 +148,7 @@ def test_a_cancelled_order_is_withdrawn_and_its_vehicle_gets_another(store_url, 
     with opened(store_url) as store:
         a_store_with(store, "assigned")
         store.add_orders_unless_conflict([an_order("o2")])
-        assert cancel(store) == "o1: cancelled; d1: o1.1 withdrawn"
+        assert cancel(store) == "o1: cancelled, withdrawn from d1"
         (command,) = store.outbox()
         assert (command.vehicle, command.command) == ("d1", Withdraw(assignment="o1.1"))
         assert store.assign_order("o2", "d1", FLIGHT, None, "desk") is None
@@ -180,6 +180,8 @@ def test_an_empty_cell_removes_a_value_and_a_wrong_one_changes_nothing(store_url
     with opened(store_url) as store:
         store.add_orders_unless_conflict([an_order("o1")])
         change(store, **CONTACT, **WINDOW)
+        change(store, window_to="2026-05-01T15:30Z")
+        assert store.orders()[0].order.window == (1_777_644_000 * 10**6, 1_777_649_400 * 10**6)
         change(store, phone="", window="")
         order = store.orders()[0].order
         assert (order.phone, order.window, order.customer) == ("", (None, None), "Jo")
