@@ -275,8 +275,9 @@ def add_orders_and_print_count(store: "Store", orders: "list[Order]", by: str) -
 def depot_assigner(data: "DayData") -> "DepotAssigner":
     """Return the assigner of orders that drones can deliver from the depot."""
     from ground_station.core.dispatch.depot_assignment import DepotAssigner
+    from ground_station.core.planning.day_problem import obstacle_map
 
-    return DepotAssigner(data.day, data.airframes, data.elevation)
+    return DepotAssigner(data.day, data.airframes, data.elevation, obstacle_map(data))
 
 
 def print_infeasible_orders(data: "DayData", assigner: "DepotAssigner") -> list[str]:

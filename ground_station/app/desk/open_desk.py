@@ -30,6 +30,7 @@ from ground_station.core.dispatch.wind_holds import WindHoldRules
 from ground_station.core.feasibility.wind_limit import launch_wind_limit_mps
 from ground_station.core.fleet.fleet_link import Clock, FleetLink, OffsetClock
 from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.planning.day_problem import obstacle_map
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.sortie_rows import SortieRow
@@ -59,7 +60,7 @@ def open_depot_desk(
     clock = clock or WallClock()
     if DayStore(store.database, clock.epoch_us).active_plan() is not None:
         raise LeewayError("this store holds a day with a truck: give its plan with --plan")
-    assigner = assigner or DepotAssigner(data.day, data.airframes)
+    assigner = assigner or DepotAssigner(data.day, data.airframes, obstacles=obstacle_map(data))
     wind = create_site_wind(data, log)
     watch = _open_forecast_monitor(data, wind, store, clock, log, forecast_reader, at_depot=True)
     dispatcher = DepotDispatcher(

@@ -30,6 +30,7 @@ from ground_station.core.people.map_command_messages import (
 )
 from ground_station.core.people.person import DeskOperator
 from ground_station.core.people.web_tokens import command_refusal_reason
+from ground_station.core.planning.day_problem import obstacle_map
 from ground_station.core.schema.day import Depot
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.order_parsing import order_from_cells
@@ -120,7 +121,9 @@ class OperatorCommands:
         """Return whether a drone can deliver an order from the depot; empty: not known."""
         if self.data is None or order.service is Service.TRUCK:
             return ""
-        assigner = DepotAssigner(self.data.day, self.data.airframes, self.data.elevation)
+        assigner = DepotAssigner(
+            self.data.day, self.data.airframes, self.data.elevation, obstacle_map(self.data)
+        )
         infeasible = assigner.infeasibility_for_all_drones(order)
         if infeasible is not None:
             text = f"{order.id}: cannot be flown from the depot: {infeasible.reason}."
