@@ -24,7 +24,7 @@ from ground_station.app.desk.open_desk import open_depot_desk
 from ground_station.app.desk.operator_commands import cancel_order
 from ground_station.app.views.day_content import read_display_rows
 from ground_station.app.views.watch_view import watch_view
-from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, AssignmentState, OrderState
+from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderState
 from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 
 HARBOUR = Path(__file__).parents[3] / "params" / "days" / "harbour.toml"
@@ -177,22 +177,15 @@ def test_nobody_is_launched_without_a_person_and_each_word_is_for_one_launch(day
 def test_an_order_cancelled_on_its_drone_is_withdrawn_from_it_and_the_drone_gets_the_next(day):
     make_ground, make_vehicle = day
     ground, drone = make_ground(requires_confirmation=True), make_vehicle("d1")
-    ground.store.add_orders_unless_conflict(DAY.orders[:1])
-    uploaded = AssignmentState.UPLOADED
-    ground.until(lambda: [row for row in ground.store.assignments() if row.state is uploaded])
-    cancelled = DAY.orders[0].id
-    cancel_order(ground.store, lambda: 1, cancelled, "anna", "customer asked")
-    ground.store.add_orders_unless_conflict(DAY.orders[1:2])
-    ground.until(
-        lambda: any(
-            r.state is uploaded for r in ground.store.assignments() if r.order_id != cancelled
-        )
-    )
-    assert ground.orders(OrderState.CANCELLED) == {cancelled}
-    (row,) = [row for row in ground.store.assignments() if row.order_id == cancelled]
-    assert not row.delivered
-    assert row.state not in IN_FORCE
-    assert Withdraw(assignment=row.id) in [command.action for command in drone.done]
+    for order, before in zip(DAY.orders[:2], ([], ["H-101.1"]), strict=True):
+        ground.store.add_orders_unless_conflict([order])
+        ground.until(lambda: drone.phase == "ready" and ground.said[-1].startswith("d1: ready"))
+        assert [c.action.assignment for c in drone.done if isinstance(c.action, Withdraw)] == before
+        if not before:
+            cancel_order(ground.store, lambda: 1, order.id, "anna", "customer asked")
+            ground.until(lambda: drone.phase == "standby")
+    assert ground.orders(OrderState.CANCELLED) == {"H-101"}
+    assert ground.orders(OrderState.ASSIGNED) == {"H-102"}
     assert drone.launches() == []
 
 

@@ -357,7 +357,6 @@ document.addEventListener("input", ({ target }) => {
 document.addEventListener("change", ({ target }) => { if (target.id === "file" && target.files[0]) fileChosen(target.files[0], redraw); });
 document.addEventListener("keydown", (event) => {
   if (event.key === "Enter" && event.target.id === "token") { event.preventDefault(); DEEDS["sign-in"](); }
-  if (event.key === "Enter" && event.target.id === "search") $("#board tbody button")?.click();
 });
 
 const attended = () => [...new Set((state.picture.attention ?? []).map((one) => one.who))];
