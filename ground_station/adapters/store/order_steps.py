@@ -251,8 +251,9 @@ def end_assignment(
         sa.update(t.orders)
         .where(
             t.orders.c.id == row.order_id,
-            t.orders.c.state.not_in(_CLOSED_ORDER_STATES),
-            sa.true() if order is OrderState.DELIVERED else ~_other_assignment_in_force(row),
+            t.orders.c.state != OrderState.DELIVERED.value
+            if order is OrderState.DELIVERED  # also if it was cancelled too late
+            else t.orders.c.state.not_in(_CLOSED_ORDER_STATES) & ~_other_assignment_in_force(row),
         )
         .values(state=order.value, why=reason_text)
     )

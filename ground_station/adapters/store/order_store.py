@@ -166,33 +166,6 @@ class Store:
             for row in found
         ]
 
-    def change_order_state(
-        self,
-        order_id: str,
-        allowed_states: tuple[OrderState, ...],
-        new_state: OrderState,
-        by: str,
-        reason: str = "",
-    ) -> bool:
-        """Apply an operator's change (cancel, reopen); False if not in `allowed_states`."""
-        change = f"{new_state.value}: {reason}" if reason else new_state.value
-        with self._database.write() as db:
-            done = db.execute(
-                sa.update(t.orders)
-                .where(
-                    t.orders.c.id == order_id,
-                    t.orders.c.state.in_([state.value for state in allowed_states]),
-                )
-                .values(
-                    state=new_state.value,
-                    why=f"{reason}, by {by}" if reason else f"by {by}",
-                    attempts=0,
-                )
-            )
-            if done.rowcount == 1:
-                audit.add_entry(db, self._epoch_us(), by, "order", order_id, change)
-        return done.rowcount == 1
-
     def holds_in_force(self) -> list[Hold]:
         """Return the holds in force, oldest first."""
         with self._database.read() as db:

@@ -177,7 +177,7 @@ def fleet_findings(fleet: str, picture: dict[str, Any], seconds: float) -> Itera
     if "desk_heard_us" in picture:
         yield Finding("desk", "in contact")
     else:
-        yield Finding("desk", "no heartbeat", "Start it: ground-station dispatch.")
+        yield Finding("desk", "no heartbeat", "Start it: ground-station dispatch DAY.")
     items = picture.get("attention", [])
     subjects = {item["who"] for item in items}
     for name, one in heard.items():

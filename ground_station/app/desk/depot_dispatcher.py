@@ -28,7 +28,7 @@ from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.holds import hold_of_vehicle_or_of_all
-from ground_station.core.schema.orders import AssignmentRow, OrderState, Service
+from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderState, Service
 from ground_station.core.site_wind.site_wind import SiteWind
 
 WIND_CHECK_INTERVAL_S = 30.0
@@ -129,6 +129,7 @@ class DepotDispatcher:
             newest_known_launch=after,
             requires_confirmation=params.requires_confirmation,
         ):
+            self._pacing.record_newest_launch()
             confirmation = (
                 f", confirmed by {assignment.confirmed_by}" if params.requires_confirmation else ""
             )
@@ -176,13 +177,20 @@ class DepotDispatcher:
         return CycleResult.ACTIVE if has_later_launches else CycleResult.IDLE
 
     def _check_windows_if_due(self) -> None:
-        """Report open orders that cannot keep their window."""
+        """Report orders on the ground that cannot keep their window."""
         now_s, now_us = self.clock.monotonic_s(), self.clock.epoch_us()
         if now_s < self._next_window_check_s:
             return
         self._next_window_check_s = now_s + WINDOW_CHECK_INTERVAL_S
         orders = [row.order for row in self.store.orders(OrderState.OPEN)]
         late = {order.id: self.assigner.late_text(order, now_us) for order in orders}
+        on_ground = [
+            row.order_id
+            for row in self.store.assignments(in_force=True)
+            if row.state is AssignmentState.UPLOADED
+        ]
+        for row in self.store.orders_by_id(on_ground):
+            late[row.order.id] = self.assigner.late_text(row.order, now_us, is_loaded=True)
         self._late_orders.publish({id_: text for id_, text in late.items() if text})
         self._has_later_windows = any((order.earliest_us or 0) > now_us for order in orders)
 

@@ -67,11 +67,15 @@ class LaunchPacing:
         """End of the gap after the last take-off, on this desk's monotonic clock."""
         return self._take_off_s + self.gap_s if self.gap_s > 0.0 else -math.inf
 
-    def can_order_next_launch(self) -> bool:
-        """Whether the gap has elapsed and no ordered launch can still lead to a take-off."""
+    def record_newest_launch(self) -> None:
+        """Start the gap at a launch that this or another desk has ordered since the last call."""
         newest = launches.newest_launch_command_number(self.store.database)
         if newest != self.newest_launch:
             self.newest_launch, self._ordered_s = newest, self.clock.monotonic_s()
+
+    def can_order_next_launch(self) -> bool:
+        """Whether the gap has elapsed and no ordered launch can still lead to a take-off."""
+        self.record_newest_launch()
         if self.gap_s <= 0.0:
             return True
         if self.clock.monotonic_s() < max(self._take_off_s, self._ordered_s) + self.gap_s:

@@ -25,7 +25,7 @@ from ground_station.app.desk.site.forecast_watch import ForecastMonitor
 from ground_station.app.desk.site.site_monitor import SiteMonitor
 from ground_station.app.desk.site.station_desk import StationMonitor
 from ground_station.app.desk.truck_dispatcher import TruckDispatcher
-from ground_station.core.dispatch.depot_assignment import DepotAssigner
+from ground_station.core.dispatch.depot_assignment import DepotAssigner, assigner_of_day
 from ground_station.core.dispatch.wind_holds import WindHoldRules
 from ground_station.core.feasibility.wind_limit import launch_wind_limit_mps
 from ground_station.core.fleet.fleet_link import Clock, FleetLink, OffsetClock
@@ -59,7 +59,7 @@ def open_depot_desk(
     clock = clock or WallClock()
     if DayStore(store.database, clock.epoch_us).active_plan() is not None:
         raise LeewayError("this store holds a day with a truck: give its plan with --plan")
-    assigner = assigner or DepotAssigner(data.day, data.airframes)
+    assigner = assigner or assigner_of_day(data, None)
     wind = create_site_wind(data, log)
     watch = _open_forecast_monitor(data, wind, store, clock, log, forecast_reader, at_depot=True)
     dispatcher = DepotDispatcher(

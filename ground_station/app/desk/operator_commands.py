@@ -33,6 +33,7 @@ from ground_station.core.schema.orders import Order
 
 LogMessage = Callable[[str], None]
 EpochUs = Callable[[], int]
+WINDOW_ENDS = ("window_from", "window_to")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,8 @@ def record_launch_confirmation(store: Store, order_id: str, by: str) -> CommandR
     id_ = store.record_launch_confirmation(order_id, by)
     if id_ is None:
         raise LeewayError(f"order {order_id}: {_launch_refusal_reason(store, order_id)}")
-    return CommandReport([f"{id_}: confirmed by {by}; it launches when the launch gap permits"])
+    text = "it launches when the gap after the last launch permits"
+    return CommandReport([f"{order_id}: launch confirmed by {by}; {text}"])
 
 
 def _launch_refusal_reason(store: Store, order_id: str) -> str:
@@ -124,12 +126,13 @@ def add_orders(store: Store, orders: list[Order], by: str) -> CommandReport:
     return CommandReport([f"{len(result.added)} orders imported{known}"])
 
 
-def cancel_order(store: Store, order_id: str, by: str, reason: str = "") -> CommandReport:
-    """Cancel an order that no vehicle has. LeewayError if its state does not permit it."""
-    before, after = (OrderState.OPEN, OrderState.STUCK), OrderState.CANCELLED
-    if not store.change_order_state(order_id, before, after, by, reason):
-        raise order_state_error(store, order_id, before)
-    return CommandReport([f"{order_id}: {after.value}"])
+def cancel_order(
+    store: Store, epoch_us: EpochUs, order_id: str, by: str, reason: str
+) -> CommandReport:
+    """Cancel an order; withdraws it on the ground. LeewayError if its state does not permit it."""
+    return CommandReport(
+        [order_changes.cancel_order(store.database, epoch_us, order_id, by, reason)]
+    )
 
 
 def change_order(
@@ -147,9 +150,15 @@ def change_order(
     def changed_order(order: Order) -> Order:
         moves = {"lat_deg", "lon_deg"} & cells.keys()
         height = {"alt_amsl_m": ""} if moves and "alt_amsl_m" not in cells else {}
-        window = {"window": ""} if {"window_from", "window_to"} & cells.keys() else {}
+        before = order_cells(order)
+        window: dict[str, str] = {}
+        if set(WINDOW_ENDS) & cells.keys():  # one may change without the other
+            window = {
+                **dict(zip(WINDOW_ENDS, before["window"].split("/"), strict=False)),
+                "window": "",
+            }
         depot, elevation = (None, None) if data is None else (data.day.depot, data.elevation)
-        all_cells = {**order_cells(order), **height, **window, **cells}
+        all_cells = {**before, **height, **window, **cells}
         return order_from_cells(all_cells, depot, elevation, local_date())
 
     text = order_changes.change_order(store.database, epoch_us, order_id, changed_order, by)

@@ -75,7 +75,7 @@ class Recaller:
             case CommandResponse() if received.result is not None:
                 self._record_final_response(received.command_id, received.result.status)
                 result_text = f"{received.result.status.value} {received.result.reason}"
-                self.log(f"{received.result.vehicle}: {received.command_id}: {result_text}")
+                self.log(f"{received.result.vehicle}: recall {result_text}")
             case _:
                 return
 

@@ -13,7 +13,7 @@ from ground_station.adapters.files.order_files import read_orders
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk import operator_commands
 from ground_station.app.desk.operator_commands import CommandReport
-from ground_station.core.dispatch.depot_assignment import DepotAssigner
+from ground_station.core.dispatch.depot_assignment import assigner_of_day
 from ground_station.core.feasibility.reach import Feasible
 from ground_station.core.fleet.fleet_link import FleetLink
 from ground_station.core.people.map_command_messages import (
@@ -120,7 +120,7 @@ class OperatorCommands:
         """Return whether a drone can deliver an order from the depot; empty: not known."""
         if self.data is None or order.service is Service.TRUCK:
             return ""
-        assigner = DepotAssigner(self.data.day, self.data.airframes, self.data.elevation)
+        assigner = assigner_of_day(self.data, self.data.elevation)
         infeasible = assigner.infeasibility_for_all_drones(order)
         if infeasible is not None:
             text = f"{order.id}: cannot be flown from the depot: {infeasible.reason}."
@@ -161,7 +161,7 @@ class OperatorCommands:
                     )
                 case CancelOrder():
                     return operator_commands.cancel_order(
-                        store, command.order, issuer, command.reason
+                        store, epoch_us, command.order, issuer, command.reason
                     )
                 case SettleOrder():
                     settled = ParcelOutcome(command.settled)

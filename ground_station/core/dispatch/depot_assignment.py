@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import Ned, location_to_ground_ned_m
+from companion.core.base.geo import Ned, ObstacleMap, location_to_ground_ned_m
 from companion.core.base.location import Location
 from companion.core.mission.flight_plan import depot_frame
 from companion.core.vehicle.airframe import Airframe
@@ -27,8 +27,9 @@ from ground_station.core.feasibility.reach import (
     SortieGeometry,
     SortieNeed,
 )
-from ground_station.core.planning.day_problem import MAX_HEIGHT_AGL_M
+from ground_station.core.planning.day_problem import MAX_HEIGHT_AGL_M, obstacle_map
 from ground_station.core.schema.day import Day, Drone, Forecast
+from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.order_window import late_text
 from ground_station.core.schema.orders import (
@@ -71,6 +72,25 @@ _DroneKind = tuple[str, float | None, float, float]
 """Airframe, temperature, health and charge of a drone; they determine feasibility."""
 
 
+def obstruction(
+    obstacles: ObstacleMap | None, ground_ned_m: Ned, cruise_height_m: float
+) -> Infeasible | None:
+    """Return the obstacle that is too close to a customer, as the companion checks it."""
+    if obstacles is None:
+        return None
+    over = (*ground_ned_m[:2], -cruise_height_m)
+    found = obstacles.first_blocking_obstacle(over, over)
+    if found is None:
+        return None
+    reason = f"within {obstacles.clearance_m:g} m of {found.name}"
+    return Infeasible(reason, "a destination outside its clearance")
+
+
+def assigner_of_day(data: DayData, elevation: SiteElevation | None) -> "DepotAssigner":
+    """Return the assigner of a day, with its obstacles."""
+    return DepotAssigner(data.day, data.airframes, elevation, obstacle_map(data))
+
+
 class DepotAssigner:
     """Assigns the orders of one day.
 
@@ -84,8 +104,10 @@ class DepotAssigner:
         day: Day,
         airframes: Mapping[str, Airframe],
         elevation: SiteElevation | None = None,
+        obstacles: ObstacleMap | None = None,
     ) -> None:
         self._day = day
+        self._obstacles = obstacles
         self._elevation = elevation
         self._frame = depot_frame(day.depot.location)
         models = DayFeasibility(day, airframes, elevation)
@@ -167,11 +189,14 @@ class DepotAssigner:
         drop_us = self.drop_us(order, now_us, loading_s)
         return drop_us is not None and drop_us < order.earliest_us
 
-    def late_text(self, order: Order, now_us: int) -> str | None:
-        """Return how late an open order would be with a launch as soon as possible."""
-        if order.latest_us is None or (at_us := self.drop_us(order, now_us, LOADING_S)) is None:
+    def late_text(self, order: Order, now_us: int, *, is_loaded: bool = False) -> str | None:
+        """Return how late an order on the ground would be with a launch as soon as possible."""
+        loading_s = 0.0 if is_loaded else LOADING_S
+        if order.latest_us is None or (at_us := self.drop_us(order, now_us, loading_s)) is None:
             return None
-        return late_text(order.window, at_us, "if a drone is loaded now")
+        return late_text(
+            order.window, at_us, f"if {'launched' if is_loaded else 'a drone is loaded'} now"
+        )
 
     def _end_of_window_if_kept(self, order: Order, now_us: int | None) -> float:
         if now_us is None or order.latest_us is None or self.late_text(order, now_us):
@@ -235,11 +260,19 @@ class DepotAssigner:
         key = (_kind_of(feasibility.drone), order)
         if key not in self._feasible_when_full:
             mass_kg = order.mass_kg
-            is_feasible = feasibility.can_lift(mass_kg) and feasibility.is_within_energy_budget(
-                self._cached_depot_sortie_need(order, feasibility), mass_kg, 1.0
+            is_feasible = (
+                self._obstruction(order) is None
+                and feasibility.can_lift(mass_kg)
+                and feasibility.is_within_energy_budget(
+                    self._cached_depot_sortie_need(order, feasibility), mass_kg, 1.0
+                )
             )
             self._feasible_when_full[key] = is_feasible
         return self._feasible_when_full[key]
+
+    def _obstruction(self, order: Order) -> Infeasible | None:
+        height_m = self._day.mission.cruise_height_m
+        return obstruction(self._obstacles, self.order_ground_ned(order), height_m)
 
     def _cached_depot_sortie_need(
         self, order: Order, feasibility: SortieFeasibility, layer: int = 0
@@ -272,6 +305,8 @@ class DepotAssigner:
     def _check_delivery(
         self, order: Order, feasibility: SortieFeasibility, charge_frac: float | None = None
     ) -> Feasible | Infeasible:
+        if (obstruction := self._obstruction(order)) is not None:
+            return obstruction
         need = (
             self._cached_depot_sortie_need(order, feasibility)
             if feasibility.can_lift(order.mass_kg)

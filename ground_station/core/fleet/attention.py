@@ -134,7 +134,7 @@ def _ground_station_items(facts: FleetFacts) -> Iterator[AttentionItem]:
             Level.WARNING,
             DESK,
             f"Desk not responding for {facts.desk_silence_s:.0f} s",
-            "No new orders or plans reach drones. Start it again: ground-station dispatch.",
+            "No new orders or plans reach drones. Start it again: ground-station dispatch DAY.",
             (),
         )
     elif facts.desk_alarm:

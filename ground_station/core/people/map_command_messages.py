@@ -73,7 +73,7 @@ class ChangeOrder(_WebCommand, frozen=True, kw_only=True, tag="change"):
 
 
 class CancelOrder(_WebCommand, frozen=True, kw_only=True, tag="cancel"):
-    """Cancel an order that no vehicle has."""
+    """Cancel an order that is not in the air; on the ground its assignment is withdrawn."""
 
     order: Name
     reason: Reason

@@ -73,6 +73,20 @@ def change_refusal(stage: OrderStage, fields: frozenset[str]) -> str:
     return f"{text}, only {_names(allowed)}" if allowed else text
 
 
+def cancel_refusal(stage: OrderStage, vehicle: str | None) -> str:
+    """Return why an order cannot be cancelled at this stage; empty: it can."""
+    match stage:
+        case OrderStage.CLOSED:
+            return f"{stage.value}: cannot be cancelled"
+        case OrderStage.IN_AIR:
+            return (
+                f"{stage.value}: recall {vehicle}; once it has landed, cancel the order, or settle"
+                " it if it is still assigned"
+            )
+        case _:
+            return ""
+
+
 def needs_new_plan(before: Order, after: Order) -> bool:
     """Return whether the two orders are planned differently."""
     return bool(changed_fields(before, after) - (CONTACT - {"priority"}))

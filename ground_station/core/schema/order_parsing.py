@@ -56,14 +56,16 @@ def parse_order_or_problems(
         text = cell_by_column.get(name, "").strip()
         if not text:
             if name != "alt_amsl_m":
-                add_problem(name, "empty, expected a number")
+                hint = "" if name == "mass_kg" else " (an address is not looked up)"
+                add_problem(name, f"empty, expected a number{hint}")
             continue
         value = _parse_finite_number(text)
         if value is None or not low <= value <= high:
             add_problem(name, f"{text!r}: expected a number from {low:g} to {high:g}")
         else:
             numbers[name] = value
-    if depot is not None and {"lat_deg", "lon_deg"} <= numbers.keys():
+    has_position = {"lat_deg", "lon_deg"} <= numbers.keys()
+    if depot is not None and has_position:
         frame = depot_frame(depot.location)
         message = site_distance_error_text(frame, numbers["lat_deg"], numbers["lon_deg"])
         if message:
@@ -75,7 +77,8 @@ def parse_order_or_problems(
     service = cell_by_column.get("service", "").strip() or Service.ANY.value
     if service not in [s.value for s in Service]:
         add_problem("service", f"{service!r}: expected any, drone or truck")
-    if "alt_amsl_m" not in numbers and not cell_by_column.get("alt_amsl_m", "").strip():
+    states_height = has_position or depot is None
+    if states_height and not cell_by_column.get("alt_amsl_m", "").strip():
         known = _ground_amsl_m(depot, elevation, numbers)
         if known is None:
             message = (

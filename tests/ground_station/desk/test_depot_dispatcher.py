@@ -11,7 +11,7 @@ from rich.console import Console
 
 from companion.app.flight.fleet_port import StoredAssignment
 from companion.fleet.command_log import CommandReply
-from companion.fleet.messages import Assign, Command, CommandStatus, EventKind, Launch
+from companion.fleet.messages import Assign, Command, CommandStatus, EventKind, Launch, Withdraw
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
@@ -21,6 +21,7 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.desk.depot_dispatcher import MAX_REFUSED_LAUNCHES, DepotParams
 from ground_station.app.desk.open_desk import open_depot_desk
+from ground_station.app.desk.operator_commands import cancel_order
 from ground_station.app.views.day_content import read_display_rows
 from ground_station.app.views.watch_view import watch_view
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderState
@@ -171,6 +172,21 @@ def test_nobody_is_launched_without_a_person_and_each_word_is_for_one_launch(day
     ground.until(lambda: "d1: launch of H-101.1 ordered, confirmed by anna" in ground.said)
     ground.until(lambda: ground.said.count(asks) == 2)  # it returned and needs confirmation again
     assert drone.launches() == ["H-101.1"]
+
+
+def test_an_order_cancelled_on_its_drone_is_withdrawn_from_it_and_the_drone_gets_the_next(day):
+    make_ground, make_vehicle = day
+    ground, drone = make_ground(requires_confirmation=True), make_vehicle("d1")
+    for order, before in zip(DAY.orders[:2], ([], ["H-101.1"]), strict=True):
+        ground.store.add_orders_unless_conflict([order])
+        ground.until(lambda: drone.phase == "ready" and ground.said[-1].startswith("d1: ready"))
+        assert [c.action.assignment for c in drone.done if isinstance(c.action, Withdraw)] == before
+        if not before:
+            cancel_order(ground.store, lambda: 1, order.id, "anna", "customer asked")
+            ground.until(lambda: drone.phase == "standby")
+    assert ground.orders(OrderState.CANCELLED) == {"H-101"}
+    assert ground.orders(OrderState.ASSIGNED) == {"H-102"}
+    assert drone.launches() == []
 
 
 def test_what_was_recalled_is_not_launched_again_before_a_person_releases_it(day):

@@ -18,9 +18,10 @@ from ground_station.adapters.store.audit_store import read_audit_rows_and_head
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.settle import close_order_with_outcome
 from ground_station.app.desk.desk import Desk
 from ground_station.app.desk.open_desk import open_truck_desk
-from ground_station.app.desk.operator_commands import change_order
+from ground_station.app.desk.operator_commands import cancel_order, change_order
 from ground_station.app.desk.replanner import NoPlan, Replanner, create_inline_planner
 from ground_station.app.desk.truck_dispatcher import TruckDispatcher
 from ground_station.core.dispatch.dispatch_rules import DispatchParams
@@ -28,6 +29,7 @@ from ground_station.core.fleet.fleet_link import CommandResponse
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import DayState
+from ground_station.core.schema.order_states import ParcelOutcome
 from ground_station.core.schema.orders import AssignmentState, OrderState
 from tests.ground_station.hand_made_day import PLAN, by_truck, sortie
 from tests.ground_station.truck_world import World, WorldClock
@@ -512,7 +514,7 @@ def test_where_nobody_is_at_home_a_person_decides_and_a_reopened_order_is_brough
     assert states.pop("H-108") is OrderState.STUCK
     assert set(states.values()) == {OrderState.DELIVERED}
     told.world.quits = set()
-    assert told.store.change_order_state("H-108", (OrderState.STUCK,), OrderState.OPEN, "anna")
+    close_order_with_outcome(told.database, lambda: 1, "H-108", ParcelOutcome.BACK, "asked", "anna")
     told.run()
     assert told.states()["H-108"] is OrderState.DELIVERED
 
@@ -532,6 +534,27 @@ def test_an_order_with_a_new_place_is_withdrawn_and_planned_again(day, order):
     assert flown[0] not in told.world.flown
     assert set(told.states().values()) == {OrderState.DELIVERED}
     assert told.world.wrong == []
+
+
+@pytest.mark.parametrize("order", ["H-101", "H-105"])  # on its pad, and loaded by the driver
+def test_an_order_cancelled_on_the_ground_is_not_delivered_and_the_day_goes_on(day, order):
+    told = day(14)
+    loaded = (AssignmentState.ORDERED, AssignmentState.UPLOADED)
+    while not any(
+        row.order_id == order and row.state in loaded for row in told.store.assignments()
+    ):
+        told.world.step()
+        told.desk.run_cycle(0.0)
+    cancel_order(told.store, told.world.clock.epoch_us, order, "anna", "customer asked")
+    told.run()
+    states = told.states()
+    assert states.pop(order) is OrderState.CANCELLED
+    assert set(states.values()) == {OrderState.DELIVERED}
+    assert sorted(told.world.delivered) == sorted(states)
+    (row,) = [row for row in told.store.assignments() if row.order_id == order]
+    assert row.state is AssignmentState.WITHDRAWN
+    assert row.id not in told.world.flown
+    assert told.world.on_truck == {"d1", "d2"}
 
 
 def test_neither_drone_nor_driver_delivers_before_a_window(day, monkeypatch):

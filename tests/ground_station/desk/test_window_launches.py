@@ -11,6 +11,7 @@ from ground_station.app.desk.depot_dispatcher import DepotParams
 from ground_station.app.desk.open_desk import open_depot_desk
 from ground_station.core.dispatch.depot_assignment import LOADING_S, DepotAssigner, FreeDrone
 from ground_station.core.fleet.fleet_link import LivelinessChanged, StateReceived
+from ground_station.core.planning.day_problem import obstacle_map
 from ground_station.core.schema.orders import Order, OrderRow, OrderState, Priority
 from tests.ground_station.desk.test_held_launches import DAY
 from tests.ground_station.desk_parts import HandClock, Wire, a_state
@@ -84,5 +85,29 @@ def test_a_loaded_drone_waits_until_its_drop_is_within_the_window(tmp_path: Path
         assert 0 <= drop_us - order.earliest_us <= 3 * S
         late = store.database.about_value(LATE_KEY, dict[str, str])
     assert late is not None
+    assert "far" not in late
     assert late["late"].startswith("arrives ")
     assert len([line for line in said if line.startswith("late: arrives")]) == 1
+
+
+def test_a_loaded_order_that_waits_for_its_launch_is_reported_as_late(tmp_path: Path):
+    clock, wire = HandClock(100.0, NOW_US / S), Wire()
+    with opened(f"sqlite:///{tmp_path}/desk.db", clock.epoch_us) as store:
+        store.add_orders_unless_conflict([far_order(latest_us=NOW_US + S)])
+        id_ = store.assign_order("far", "d1", FLIGHT, None, "desk")
+        store.record_and_apply_response(f"{id_}:assign", CommandStatus.DONE, "", "a")
+        params = DepotParams(requires_confirmation=True)
+        open_depot_desk(DAY, store, wire, len, params, clock=clock).run_cycle(0.0)
+        late = store.database.about_value(LATE_KEY, dict[str, str])
+    assert late is not None
+    assert "if launched now; move its window" in late["far"]
+
+
+def test_an_order_within_the_clearance_of_an_obstacle_is_not_assigned():
+    assigner = DepotAssigner(DAY.day, DAY.airframes, obstacles=obstacle_map(DAY))
+    beside = Order(id="o1", **NEAR | {"lat_deg": 55.469, "lon_deg": 8.442})
+    found = assigner.infeasibility_for_all_drones(beside)
+    assert found is not None
+    assert found.reason == "within 15 m of silo"
+    rows = [OrderRow(beside, OrderState.OPEN, 0, "")]
+    assert assigner.assign_orders_to_free_drones(rows, [], [FreeDrone("d1", None)]) == []

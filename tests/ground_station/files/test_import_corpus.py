@@ -143,6 +143,8 @@ ORDERS = [
     ("title above semicolons", f"Orders\n{SEMICOLONS}", GOOD + " .. separated by semicolons"),
     ("grams in mass_kg", cells(mass_kg="400"), "refused .. 400 kg: expected at most 70 kg"),
     ("no mass", cells(mass_kg=""), "refused .. column mass_kg: empty, expected a number"),
+    ("no position", cells(lat_deg=""),
+     "refused .. column lat_deg: empty, expected a number (an address is not looked up)"),
     ("not a number", cells(mass_kg="nan"), "refused .. 'nan': expected a number"),
     ("digits with underscore", cells(mass_kg="1_0"), "refused .. '1_0': expected a number"),
     ("service in capitals", cells(service="DRONE"), "refused .. 'DRONE': expected any, dr"),

@@ -122,6 +122,19 @@ def test_safety_rule_7_a_desk_waits_a_whole_gap_after_a_launch_of_another_one(st
     assert launched(store) == 2
 
 
+def test_the_gap_of_a_desk_counts_from_its_own_launch_not_from_the_next_request(store):
+    ready(store, 2)
+    clock = HandClock(5.0)
+    desk = DepotDispatcher(store, DAY, DepotAssigner(DAY.day, DAY.airframes), clock, len)
+    desk.prepare_first_cycle()
+    first, second = store.assignments(in_force=True)
+    desk.on_vehicle_ready(first)
+    desk.on_state(a_state(first.vehicle, phase="climb", assignment=first.id, armed=True))
+    for clock.t_s, launches in ((24.9, 1), (25.1, 2)):
+        desk.on_vehicle_ready(second)
+        assert launched(store) == launches
+
+
 def test_the_command_says_who_confirmed_or_why_not(tmp_path):
     url = f"sqlite:///{tmp_path}/d.db"
 
@@ -131,7 +144,7 @@ def test_the_command_says_who_confirmed_or_why_not(tmp_path):
 
     with opened(url) as store:
         ready(store, 1)
-        assert run("o0") == "o0.1: confirmed by anna; it launches when the launch gap permits"
+        assert run("o0").startswith("o0: launch confirmed by anna; it launches when the gap")
         assert run("o9") == "order o9: no drone is assigned"
         HoldStore(store.database, lambda: 1).place_holds(["d0"], "gusts", "ben")
         assert run("o0") == "order o0: d0 is held by ben: gusts"

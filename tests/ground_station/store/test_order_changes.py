@@ -10,13 +10,13 @@ from companion.core.base.errors import LeewayError
 from companion.core.mission.event_text import DecisionEvent
 from companion.fleet.messages import CommandStatus, EventKind, FleetEvent, Withdraw
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.orders.order_history import delivery_proofs
+from ground_station.adapters.store.orders.order_history import delivery_proofs, read_order_history
 from ground_station.app.cli.main import app
 from ground_station.app.desk.operator_commands import cancel_order, change_order
 from ground_station.app.views.day_report import day_report_of, report_tables
 from ground_station.app.views.order_view import order_record
 from ground_station.app.views.terminal import plain_console
-from ground_station.core.schema.orders import AssignmentState, OrderState
+from ground_station.core.schema.orders import AssignmentState, HistoryEntry, OrderState
 from tests.ground_station.store.test_order_store import (
     FLIGHT,
     an_order,
@@ -31,13 +31,19 @@ def change(store: Store, order: str = "o1", **cells: str) -> str:
     return change_order(store, lambda: 7, order, cells, "anna").messages[0]
 
 
+def cancel(store: Store) -> str:
+    return cancel_order(store, lambda: 8, "o1", "anna", "customer asked").messages[0]
+
+
 def a_store_with(store: Store, stage: str) -> None:
     """One order at this stage."""
     store.add_orders_unless_conflict([an_order("o1")])
-    if stage in ("assigned", "launch ordered"):
+    if stage in ("assigned", "being withdrawn", "launch ordered"):
         store.assign_order("o1", "d1", FLIGHT, None, "desk")
         for command in store.outbox():
             store.record_and_apply_response(command.id, CommandStatus.DONE, "", "life")
+    if stage == "being withdrawn":
+        change(store, **MASS)
     if stage == "launch ordered":
         store.launch(store.assignments()[0].id, "desk")
     if stage in ("in the air", "delivered", "stuck"):
@@ -46,7 +52,7 @@ def a_store_with(store: Store, stage: str) -> None:
         if outcome is not None:
             store.record_event_batches([([an_outcome(id_, outcome)], False)])
     if stage == "cancelled":
-        cancel_order(store, "o1", "anna", "customer asked")
+        cancel(store)
 
 
 CONTACT = {
@@ -109,10 +115,69 @@ def test_a_new_place_withdraws_an_assignment_on_the_ground_and_the_order_is_assi
         assert store.assign_order("o1", "d1", FLIGHT, None, "desk") is not None
 
 
+@pytest.mark.parametrize(
+    ("stage", "refusal"),
+    [
+        ("open", ""),
+        ("stuck", ""),
+        ("assigned", ""),
+        ("being withdrawn", ""),
+        ("launch ordered", "its launch is ordered: recall d1; once it has landed, cancel"),
+        (
+            "in the air",
+            "in the air, .*: recall d1; once it has landed, cancel the order, or settle",
+        ),
+        ("delivered", "delivered or cancelled: cannot be cancelled"),
+        ("cancelled", "delivered or cancelled: cannot be cancelled"),
+    ],
+)
+def test_an_order_is_cancelled_unless_it_is_in_the_air_or_closed(store_url, stage, refusal):
+    with opened(store_url) as store:
+        a_store_with(store, stage)
+        before, outbox = states(store), store.outbox()
+        if refusal:
+            with pytest.raises(LeewayError, match=refusal):
+                cancel(store)
+            assert (states(store), store.outbox()) == (before, outbox)
+            return
+        assert cancel(store).startswith("o1: cancelled")
+        assert states(store) == {"o1": OrderState.CANCELLED}
+        entry = HistoryEntry(8, "anna", "cancelled: customer asked")
+        assert entry in read_order_history(store.database, "o1")
+        for command in store.outbox():
+            store.record_and_apply_response(command.id, CommandStatus.DONE, "", "life")
+        assert states(store) == {"o1": OrderState.CANCELLED}
+
+
+@pytest.mark.parametrize("response", [CommandStatus.DONE, CommandStatus.REFUSED])
+def test_a_cancelled_order_is_withdrawn_and_its_vehicle_gets_another(store_url, response):
+    with opened(store_url) as store:
+        a_store_with(store, "assigned")
+        store.add_orders_unless_conflict([an_order("o2")])
+        assert cancel(store) == "o1: cancelled, withdrawn from d1"
+        (command,) = store.outbox()
+        assert (command.vehicle, command.command) == ("d1", Withdraw(assignment="o1.1"))
+        assert store.assign_order("o2", "d1", FLIGHT, None, "desk") is None
+        assert not store.launch("o1.1", "desk")
+        store.record_and_apply_response(command.id, response, "", "life")
+        if response is CommandStatus.REFUSED:  # a pilot had started it: the truth counts
+            assert store.assignments()[0].state is AssignmentState.IN_FLIGHT
+            store.record_event_batches([([an_outcome("o1.1", "SUC")], False)])
+            assert states(store)["o1"] is OrderState.DELIVERED
+            return
+        assert states(store)["o1"] is OrderState.CANCELLED
+        assert store.assign_order("o1", "d1", FLIGHT, None, "desk") is None
+        assert store.assign_order("o2", "d1", FLIGHT, None, "desk") is not None
+        ends = [entry.text for entry in read_order_history(store.database, "o1")]
+        assert "withdrawn: the order was cancelled by anna" in ends
+
+
 def test_an_empty_cell_removes_a_value_and_a_wrong_one_changes_nothing(store_url):
     with opened(store_url) as store:
         store.add_orders_unless_conflict([an_order("o1")])
         change(store, **CONTACT, **WINDOW)
+        change(store, window_to="2026-05-01T15:30Z")
+        assert store.orders()[0].order.window == (1_777_644_000 * 10**6, 1_777_649_400 * 10**6)
         change(store, phone="", window="")
         order = store.orders()[0].order
         assert (order.phone, order.window, order.customer) == ("", (None, None), "Jo")

@@ -15,11 +15,13 @@ from typer.testing import CliRunner
 from companion.fleet.messages import CommandStatus, EventKind, FleetEvent, Launch, Recall
 from ground_station.adapters.store.database import Database, StoreError
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.settle import close_order_with_outcome
 from ground_station.app.cli.main import app
 from ground_station.app.views.day_report import (
     day_report_of,
     log_mean_evidence_against_energy_models_nats,
 )
+from ground_station.core.schema.order_states import ParcelOutcome
 from ground_station.core.schema.orders import MAX_ATTEMPTS, AssignmentState, Order, OrderState
 
 FLIGHT = {"format": "flight/1"}
@@ -205,7 +207,8 @@ def test_an_order_that_keeps_coming_back_is_left_to_a_person(store):
     for attempt in range(1, MAX_ATTEMPTS + 1):
         store.record_event_batches([([an_outcome(flown(store), "ABRT", seq=attempt)], False)])
     assert states(store)["o1"] is OrderState.STUCK
-    assert store.change_order_state("o1", (OrderState.STUCK,), OrderState.OPEN, "anna")
+    back = close_order_with_outcome(store.database, lambda: 1, "o1", ParcelOutcome.BACK, "x", "a")
+    assert back == "o1: open"
     assert store.assign_order("o1", "d1", FLIGHT, None, "desk") == f"o1.{MAX_ATTEMPTS + 1}"
 
 

@@ -52,7 +52,7 @@ def test_a_moment_of_the_past_has_the_orders_truck_and_plan_that_were_shown_live
     delivered before the landing.
     """
     shown, drone, before_landing = {}, site.world.drones["d1"], 0
-    cancel_order(site.store, "H-104", "anna", "customer asked")
+    cancel_order(site.store, site.world.clock.epoch_us, "H-104", "anna", "customer asked")
     for _ in range(24):
         if drone.flight is not None and drone.in_air and not before_landing:
             text = DecisionEvent.create_delivery("weighed", 55.47, 8.45).text

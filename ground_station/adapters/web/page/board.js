@@ -1,7 +1,7 @@
 // The orders as a table by state, and the driver's list, which prints and exports the same rows.
 
 import { button, html, keyed, morph, set } from "./dom.js";
-import { arrivalOf, carrierOf } from "./card.js";
+import { arrivalOf, carrierOf, NOT_ARRIVING } from "./card.js";
 import { mayAdd } from "./forms.js";
 import { byName, clock, ORDER_WORDS, orderKind, windowWords } from "./words.js";
 
@@ -40,7 +40,7 @@ function keyedBodies(table, groups, nowUs, selected) {
     const entries = [[`group ${kind}`, { kind, n: list.length }], ...list.map((row) => [row.id, row])];
     keyed(body, entries, () => html("tr"), (tr, row, key) => {
       if (row.n) return morph(tr, [html("th", { colspan: COLUMNS.length, scope: "rowgroup" }, ORDER_WORDS[row.kind], html("span", {}, String(row.n)))]), set(tr, { class: "group" });
-      set(tr, { class: `${row.kind}${key === selected ? " chosen" : ""}` });
+      set(tr, { class: `${row.kind}${key === selected ? " chosen" : ""}`, "data-do": "select", "data-with": key });
       if (tr.drawn && tr.drawn.order === row.order && tr.drawn.arrives === row.arrives && tr.drawn.by === row.by && tr.drawn.kind === row.kind) return undefined;
       tr.drawn = row;
       const { order } = row;
@@ -49,7 +49,7 @@ function keyedBodies(table, groups, nowUs, selected) {
         html("td", {}, order.customer && html("b", {}, order.customer), order.priority && html("span", { class: "chip prio" }, "Priority")),
         html("td", {}, order.address ?? ""),
         html("td", { class: "num" }, windowWords(order, nowUs)),
-        html("td", { class: "num" }, ["delivered", "cancelled", "stuck"].includes(row.kind) ? "" : row.arrives ? html("b", {}, clock(row.arrives)) : "not planned yet"),
+        html("td", { class: "num" }, ["delivered", "cancelled", "stuck"].includes(row.kind) ? "" : row.arrives ? html("b", {}, clock(row.arrives)) : NOT_ARRIVING[row.kind]),
         html("td", {}, row.by ?? ""), html("td", { class: "num" }, `${order.mass_kg.toFixed(2)} kg`), html("td", { class: "note" }, order.why || order.note || "")]);
     });
   }

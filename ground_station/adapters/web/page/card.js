@@ -116,6 +116,8 @@ function holdForm(vehicle) {
 
 // --- order, truck, all ----------------------------------------------------------------------------
 
+export const NOT_ARRIVING = { open: "not planned yet", van: "not launched yet", air: UNKNOWN };
+
 export function arrivalOf(id, order, { drones = {}, plan }) {
   const drone = drones[order.vehicle];
   if (order.state === "assigned" && drone?.order === id && drone.drop_us) return drone.drop_us;
@@ -137,7 +139,7 @@ function orderCard(id, order, picture, { nowUs, asking, record }) {
   return [
     header([order.customer ?? id, order.priority ? html("span", { class: "chip prio" }, "Priority") : null], [order.customer && id, `${order.mass_kg.toFixed(2)} kg`, by ? `by ${by}` : "by no vehicle yet"].filter(Boolean).join(" \u00b7 ")),
     stepper([["Received", ""], ["Loaded", ""], ["In the air", ""], [kind === "cancelled" ? "Cancelled" : "Delivered", ""]], { open: 0, van: 1, air: 2, stuck: 2, delivered: 4, cancelled: 3 }[kind]),
-    html("div", { class: "promise" }, html("h3", {}, isOver ? "State" : "Arrives"), html("p", { class: "big" }, isOver ? ORDER_WORDS[kind] : arrives ? inTime(arrives, nowUs) : "not planned yet"), order.why && html("p", { class: "muted" }, order.why)),
+    html("div", { class: "promise" }, html("h3", {}, isOver ? "State" : "Arrives"), html("p", { class: "big" }, isOver ? ORDER_WORDS[kind] : arrives ? inTime(arrives, nowUs) : NOT_ARRIVING[kind]), order.why && html("p", { class: "muted" }, order.why)),
     proofPart(own?.proof),
     facts([["Window", windowWords(order, nowUs)], ["Address", order.address], ["Contact", order.phone && html("a", { href: `tel:${order.phone.replaceAll(" ", "")}` }, order.phone)], ["Note", order.note], ["Position", order.at.map((degrees) => degrees.toFixed(5)).join(", ")], ["Confirmed", order.confirmed_by && `launch by ${order.confirmed_by}`], ["Drone", order.vehicle && link(order.vehicle)]]),
     form || orderCommands(id, kind),
@@ -156,7 +158,7 @@ function proofPart(proof) {
 function orderCommands(id, kind) {
   if (!mayCommand()) return null;
   const settle = ["stuck", "van", "air"].includes(kind) && [["delivered", "Delivered\u2026"], ["lost", "Lost\u2026"], ["back", "Came back\u2026"]].map(([end, words]) => button(words, "ask", `settle ${id} ${end}`));
-  const cancel = ["open", "stuck"].includes(kind) && button("Cancel order\u2026", "ask", `cancel ${id}`, { class: "danger quiet" });
+  const cancel = ["open", "stuck", "van"].includes(kind) && button("Cancel order\u2026", "ask", `cancel ${id}`, { class: "danger quiet" });
   const edit = ["open", "stuck", "van", "air"].includes(kind) && button("Edit\u2026", "ask", `edit ${id}`);
   return settle || cancel || edit ? html("footer", {}, edit, settle, cancel) : null;
 }

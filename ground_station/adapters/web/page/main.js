@@ -329,7 +329,7 @@ const DEEDS = {
     redraw();
   },
   seen: (key) => { const item = state.picture.attention.find((one) => one.key === key); state.seen.get(key) === item?.level ? state.seen.delete(key) : state.seen.set(key, item?.level); redraw(); },
-  command: (_, element) => commandClicked(element),
+  command: async (_, element) => { if (await commandClicked(element) && element.hasAttribute("data-reason")) DEEDS.ask(""); },
   zoom: (kind) => ({ plus: () => view.zoomBy(0.5), minus: () => view.zoomBy(-0.5), fit })[kind](),
   layer: (name) => { drawing.toggle(name); redraw(); },
   chip: (name) => { setChip(name); state.searched = {}; redraw(); },

@@ -71,7 +71,7 @@ export async function commandClicked(element) {
     return redraw();
   }
   armed.deed = null;
-  await send(words, deed);
+  return send(words, deed);
 }
 
 function reasonOf(form) {

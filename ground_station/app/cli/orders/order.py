@@ -193,14 +193,15 @@ def cancel(
     order_id: OrderId,
     reason: Annotated[str, typer.Option(help="Recorded in the history.")],
 ) -> None:
-    """Cancel an order that is not assigned to a vehicle.
+    """Cancel an order. On the ground its assignment is withdrawn; in the air: recall first.
 
     ground-station order cancel H-101 --reason "customer asked"
     """
+    from ground_station.adapters.clock import epoch_us
     from ground_station.app.desk.operator_commands import cancel_order
 
     with desk_options().operator_and_store() as (by, store):
-        result = cancel_order(store, order_id, by, reason)
+        result = cancel_order(store, epoch_us, order_id, by, reason)
     for text in result.messages:
         typer.echo(text)
 
@@ -273,9 +274,9 @@ def add_orders_and_print_count(store: "Store", orders: "list[Order]", by: str) -
 
 def depot_assigner(data: "DayData") -> "DepotAssigner":
     """Return the assigner of orders that drones can deliver from the depot."""
-    from ground_station.core.dispatch.depot_assignment import DepotAssigner
+    from ground_station.core.dispatch.depot_assignment import assigner_of_day
 
-    return DepotAssigner(data.day, data.airframes, data.elevation)
+    return assigner_of_day(data, data.elevation)
 
 
 def print_infeasible_orders(data: "DayData", assigner: "DepotAssigner") -> list[str]:
