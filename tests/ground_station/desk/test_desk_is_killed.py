@@ -280,7 +280,7 @@ class Site:
             case 2:
                 self.cut({str(self.rng.choice(DRONES))}, float(self.rng.uniform(5.0, 60.0)))
             case 3:
-                self.as_person(lambda store, id_: cancel_order(store, id_, "anna", "not wanted"))
+                self.as_person(lambda s, id_: cancel_order(s, lambda: 1, id_, "anna", "lost"))
             case 4:
                 cells = {"lat_deg": f"{self.rng.uniform(55.4700, 55.4704):.7f}", "mass_kg": "0.3"}
                 self.as_person(
