@@ -34,7 +34,8 @@ def main(server: str, token: str) -> None:
     """Check, add, change, read and cancel one order."""
 
     def command(name: str, **fields: object) -> list[str]:
-        return call(server, token, "/commands", {"do": name, **fields})["messages"]
+        reply = call(server, token, "/commands", {"do": name, **fields})
+        return [*reply["checks"], *reply["messages"]]
 
     print("check: ", *command("add", cells=ORDER, check=True))
     print("add:   ", *command("add", cells=ORDER))

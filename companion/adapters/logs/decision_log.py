@@ -199,7 +199,8 @@ class DecisionLog:
 
     def _stamps_ns(self, t_s: float, unix_us: int | None) -> tuple[int, int]:
         """Return UTC by the autopilot's clock since the first message, and by the companion's."""
-        t_ns, unix_ns = round(float(t_s) * 1e9), 1000 * (unix_us or self._wall_clock_us())
+        now_us = self._wall_clock_us() if unix_us is None else unix_us
+        t_ns, unix_ns = round(float(t_s) * 1e9), 1000 * now_us
         if self._utc_at_zero_ns is None:
             self._utc_at_zero_ns = unix_ns - t_ns
             self._write_metadata(self._utc_at_zero_ns)

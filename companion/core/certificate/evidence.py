@@ -27,7 +27,7 @@ RETURN_S = 300.0
 """Duration of one observation of the wind: a return, and the horizon up to which changes of the
 wind have Student's tails. Changes over successive blocks of this length are nearly uncorrelated."""
 
-MAX_VARIANCE_FACTOR = 1e4
+MAX_VARIANCE_FACTOR = 1e4  # without observations: no P(home) has support
 
 
 def variance_upper_factor(observations: float) -> float:

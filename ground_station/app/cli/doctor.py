@@ -14,6 +14,7 @@ from ground_station.adapters.clock import monotonic_s
 from ground_station.app.options.desk_options import DeskOptions, desk_options, read_day_and_warn
 from ground_station.app.options.program_options import command_class_with_options
 from ground_station.app.options.settings_file import SETTINGS_FILE
+from ground_station.app.views.times import format_local_time
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.order_store import Store
@@ -110,7 +111,9 @@ def _check_identity(options: DeskOptions) -> Iterator[Finding]:
     try:
         operator = options.current_operator()
     except LeewayError as error:
-        yield Finding("identity", str(error), "Issue it again: ground-station pki issue.")
+        yield Finding(
+            "identity", str(error), "Check the folder, or make it again: ground-station pki add."
+        )
         return
     yield Finding("identity", operator.name)
 
@@ -120,8 +123,8 @@ def _check_map_scripts() -> Finding:
 
     missing = packages_with_missing_files()
     if missing:
-        names = ", ".join(missing)
-        return Finding("map", f"not here: {names}", "ground-station map --fetch-assets")
+        text = "without base map and coasts; for both: ground-station map --fetch-assets"
+        return Finding("map", text)
     return Finding("map", "scripts and outline are here")
 
 
@@ -133,7 +136,7 @@ def _check_store(options: DeskOptions, order_store: "Store") -> Iterator[Finding
     counts = ", ".join(f"{count} {state}" for state, count in sorted(states.items()))
     text = f"{order_store.database.shown_url}: {counts or 'no orders'}"
     if faults:
-        to_do = "Stop the desk, then ground-station store restore FILE."
+        to_do = "File mode: chmod 600. Damage: stop the desk, ground-station store restore FILE."
         yield Finding("store", f"{text}; {'; '.join(faults)}", to_do)
     elif not states:
         yield Finding("store", text, "Add orders: ground-station order import FILE.")
@@ -186,5 +189,7 @@ def fleet_findings(fleet: str, picture: dict[str, Any], seconds: float) -> Itera
     for item in items:
         kind, _, subject = item["key"].partition(" ")
         command = COMMAND_BY_KIND.get(kind, "").format(subject)
-        to_do = " ".join(part for part in (item.get("words", ""), command) if part)
+        times = {name: format_local_time(us) for name, us in item.get("times", {}).items()}
+        text = item.get("words", "").format_map(times)
+        to_do = " ".join(part for part in (text, command) if part)
         yield Finding(item["who"], f"{item['title']}.", to_do or "See the map.")

@@ -91,12 +91,14 @@ class OperatorCommands:
         else:
             orders = self._orders_of_file(command)
         verdicts = [verdict for order in orders if (verdict := self._verdict(order))]
+        can = [text for text, is_feasible in verdicts if is_feasible]
+        cannot = [text for text, is_feasible in verdicts if not is_feasible]
         if command.check:
             count = [] if isinstance(command, AddOrder) else [f"{len(orders)} orders can be added"]
-            return CommandReport([*count, *verdicts])
+            return CommandReport([*count, *can], cannot)
         with closing(self.open_store()) as store:
             added = operator_commands.add_orders(store, orders, issuer)
-        return CommandReport([*added.messages, *verdicts])
+        return CommandReport([*added.messages, *can], cannot)
 
     def _order_of_cells(self, cells: dict[str, str]) -> Order:
         elevation = None if self.data is None else self.data.elevation
@@ -116,15 +118,15 @@ class OperatorCommands:
     def _depot(self) -> Depot | None:
         return None if self.data is None else self.data.day.depot
 
-    def _verdict(self, order: Order) -> str:
-        """Return whether a drone can deliver an order from the depot; empty: not known."""
+    def _verdict(self, order: Order) -> tuple[str, bool] | None:
+        """Return whether a drone can deliver an order from the depot; None: not known."""
         if self.data is None or order.service is Service.TRUCK:
-            return ""
+            return None
         assigner = assigner_of_day(self.data, self.data.elevation)
         infeasible = assigner.infeasibility_for_all_drones(order)
         if infeasible is not None:
             text = f"{order.id}: cannot be flown from the depot: {infeasible.reason}."
-            return f"{text} Possible with {infeasible.remedy}."
+            return f"{text} Possible with {infeasible.remedy}.", False
         checks = [(assigner.check_delivery(order, d.id), d.id) for d in self.data.day.drones]
         best = max(
             ((one, name) for one, name in checks if isinstance(one, Feasible)),
@@ -133,7 +135,8 @@ class OperatorCommands:
         spare_wh, minutes = best[0].spare_wh, best[0].time_s / 60.0
         return (
             f"{order.id}: can be flown from the depot, by {best[1]} in {minutes:.0f} min with"
-            f" {spare_wh:.0f} Wh to spare."
+            f" {spare_wh:.0f} Wh to spare.",
+            True,
         )
 
     def _execute_store_command(

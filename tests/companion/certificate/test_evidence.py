@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -92,14 +93,8 @@ def test_no_evidence_supports_nothing_and_no_certainty_is_stated() -> None:
     assert plain.p_home > 0.9999
     sure = gate.with_evidence_limit(plain, ModelDoubt(), *inputs)
     assert sure.p_home_limit == 1.0 - RESOLVED_LOSS
-    none = RiskEvidence(replace_recorded(None)).doubt
+    none = RiskEvidence(msgspec.structs.replace(COAST, recorded_s=None)).doubt
     assert gate.with_evidence_limit(plain, none, *inputs).p_home_limit < 0.7
-
-
-def replace_recorded(recorded_s: float | None):
-    import msgspec
-
-    return msgspec.structs.replace(COAST, recorded_s=recorded_s)
 
 
 @pytest.mark.parametrize(

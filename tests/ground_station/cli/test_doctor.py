@@ -1,6 +1,7 @@
 """`ground-station doctor`: what is missing is named with what to do."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -55,7 +56,8 @@ def test_a_network_without_members_and_a_readable_store(tmp_path: Path):
 
 def test_items_of_the_attention_list_are_findings_and_calm_vehicles_are_ok():
     item = {"key": "idle d2", "who": "d2", "title": "d2 gets no orders", "words": "34 m away."}
-    launch = {"key": "launch A-7", "who": "d1", "title": "d1 waits for your launch"}
+    launch = {"key": "launch A-7", "who": "d1", "title": "d1 waits for your launch",
+              "words": "Launch by {by}.", "times": {"by": 1_000_000}}  # fmt: skip
     picture = {
         "drones": {"d3": {}, **{name: {"heard_us": 1} for name in ("d1", "d2", "d4")}},
         "desk_heard_us": 1,
@@ -64,5 +66,7 @@ def test_items_of_the_attention_list_are_findings_and_calm_vehicles_are_ok():
     found = {one.subject: one for one in fleet_findings("harbour", picture, 5.0)}
     assert found["network"].text == "drones of harbour in contact: 3"
     assert [found[d].to_do for d in ("d4", "d2")] == ["", "34 m away."]
-    assert found["d1"].to_do == "ground-station order launch A-7"
+    assert re.fullmatch(
+        r"Launch by \d\d:\d\d.*\. ground-station order launch A-7", found["d1"].to_do
+    )
     assert found["d2"].text == "d2 gets no orders."

@@ -96,8 +96,8 @@ async function checked(deed) {
   const found = await answer?.json().catch(() => null);
   if (!found) return { ok: false, words: "No connection: not checked" };
   if (!answer.ok) return { ok: false, words: found.error };
-  const words = found.messages.join(" ") || "The day is not known to the map: not checked";
-  return { ok: true, can: !words.includes("cannot be flown"), words };
+  const words = [...found.checks, ...found.messages].join(" ") || "The day is not known to the map: not checked";
+  return { ok: true, can: !found.checks.length, words };
 }
 
 export async function saveOrder() {

@@ -78,7 +78,8 @@ class PastFlight:
     @cached_property
     def _companion_to_desk_offset_us(self) -> int:
         """Offset from the companion's clock, which stamps rows and events, to the desk's: that of
-        the event with the smallest transmission delay; 0 without events.
+        the event with the smallest transmission delay; 0 without events. Wrong for a part of a
+        flight in which the companion's clock was set.
         """
         own = (one for one in self._events if one.event.vehicle == self.vehicle)
         return min((one.received_us - one.event.epoch_us for one in own), default=0)
@@ -104,17 +105,20 @@ class PastFlight:
 
     def state_at(self, t_us: int, order: str | None) -> State | None:
         """Return the state as the vehicle would report it; None: before the first record."""
-        t_s, record = self._companion_unix_s(t_us), self.combined_record
-        position_row = record.latest_row_at("heard_position", t_s)
-        assessed = record.latest_row_at("assessment", t_s) or {}
-        wind, phase = record.latest_row_at("wind", t_s) or {}, record.latest_row_at("phase", t_s)
+        unix_s, record = self._companion_unix_s(t_us), self.combined_record
+        position_row = record.latest_row_at("heard_position", unix_s)
+        assessed = record.latest_row_at("assessment", unix_s) or {}
+        wind, phase = (
+            record.latest_row_at("wind", unix_s) or {},
+            record.latest_row_at("phase", unix_s),
+        )
         if position_row is None and phase is None:
             return None
         position_row = position_row or {}
         return State(
             vehicle=self.vehicle,
             instance_id="record",
-            uptime_s=max(t_s, 0.0),
+            uptime_s=max(float((position_row or phase or {}).get("t_s", 0.0)), 0.0),
             epoch_us=t_us,
             airframe="recorded",
             max_payload_kg=UNKNOWN_PAYLOAD_KG,
@@ -123,18 +127,18 @@ class PastFlight:
             last_seq=0,
             assignment=self.assignment or "flight",
             order=order,
-            armed=bool((record.latest_row_at("heard_state", t_s) or {}).get("armed", False)),
+            armed=bool((record.latest_row_at("heard_state", unix_s) or {}).get("armed", False)),
             delivered=any(
-                row.get("kind") == "delivered" for row in record.rows_up_to("decision", t_s)
+                row.get("kind") == "delivered" for row in record.rows_up_to("decision", unix_s)
             ),
             lat_deg=position_row.get("lat_deg"),
             lon_deg=position_row.get("lon_deg"),
             height_rel_m=position_row.get("height_rel_m"),
             ground_speed_mps=_speed_mps(position_row),
-            energy_left_wh=(record.latest_row_at("energy", t_s) or {}).get("left_wh"),
+            energy_left_wh=(record.latest_row_at("energy", unix_s) or {}).get("left_wh"),
             wind_to_n_mps=wind.get("to_n_mps"),
             wind_to_e_mps=wind.get("to_e_mps"),
-            text=str((record.latest_row_at("said", t_s) or {}).get("text", "")),
+            text=str((record.latest_row_at("said", unix_s) or {}).get("text", "")),
             p_home=assessed.get("p_home"),
             p_home_limit=_p_home_limit_or_unset(assessed),
             p_home_now=assessed.get("p_home_now"),
@@ -144,22 +148,22 @@ class PastFlight:
 
     def track_at(self, t_us: int) -> VehicleTrack:
         """Return its course, margins and probabilities until this time, and route."""
-        t_s = self._companion_unix_s(t_us)
+        unix_s = self._companion_unix_s(t_us)
         found = VehicleTrack(received_us=t_us)
-        for row in self.combined_record.rows_up_to("heard_position", t_s)[::-1]:
+        for row in self.combined_record.rows_up_to("heard_position", unix_s)[::-1]:
             position = row["lat_deg"], row["lon_deg"]
             found.course_origin = found.course_origin or position
-            if t_s - row[UNIX_S] > COURSE_WINDOW_S:
+            if unix_s - row[UNIX_S] > COURSE_WINDOW_S:
                 break
             if (course_deg := _course_deg(position, found.course_origin)) is not None:
                 found.course_deg = course_deg
                 break
-        for row in self.combined_record.rows_up_to("assessment", t_s):
+        for row in self.combined_record.rows_up_to("assessment", unix_s):
             at_us = self._desk_us(row[UNIX_S])
             found.margin_samples.append(
                 ReturnMarginSample(at_us, row.get("margin_wh"), row.get("p_home"))
             )
-        found.route = (self.combined_record.latest_row_at(ROUTE_TOPIC, t_s) or {}).get("route")
+        found.route = (self.combined_record.latest_row_at(ROUTE_TOPIC, unix_s) or {}).get("route")
         return found
 
     def rebuilt_decision_events(self) -> list[PastEvent]:
