@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.files.benchmarks.mfstsp_files import read_problem, read_vehicles
 from ground_station.adapters.files.compiled_code import (
     digest_of_text_and_files,
     enable_compile_cache_and_check_if_known,
     planner_sources,
 )
-from ground_station.adapters.files.mfstsp_files import read_problem, read_vehicles
 from ground_station.adapters.workers.journal import ProgressLog
 from ground_station.adapters.workers.side_by_side import ItemLost, WorkerOptions, run_parallel
 from ground_station.core.benchmark import mfstsp

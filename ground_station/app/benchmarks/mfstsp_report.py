@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
 
-from ground_station.adapters.files.mfstsp_files import ReferenceKey, ReferenceResult
+from ground_station.adapters.files.benchmarks.mfstsp_files import ReferenceKey, ReferenceResult
 
 Row = dict[str, Any]
 Results = dict[ReferenceKey, ReferenceResult]

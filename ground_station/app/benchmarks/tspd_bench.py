@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.compiled_code import digest_of_text_and_files, planner_sources
-from ground_station.adapters.files.tspd_files import (
+from ground_station.adapters.files.benchmarks.tspd_files import (
     ReferenceCosts,
     ReferenceKey,
     TspdInstance,
     read_instance,
 )
+from ground_station.adapters.files.compiled_code import digest_of_text_and_files, planner_sources
 from ground_station.adapters.workers.journal import ProgressLog
 from ground_station.app.benchmarks.timed_search import run_cooling_until_cpu_time
 from ground_station.core.benchmark.operations_check import NO_DRONE_NODE, plan_violations

@@ -6,7 +6,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ground_station.adapters.files.tspd_files import ReferenceCosts, ReferenceKey
+from ground_station.adapters.files.benchmarks.tspd_files import ReferenceCosts, ReferenceKey
 
 Row = dict[str, Any]
 INSTANCES_PER_MEAN = 10

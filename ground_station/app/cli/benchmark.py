@@ -33,6 +33,10 @@ JsonFile = Annotated[
     Path | None,
     typer.Option("--json", help="Write the rows into this file; also makes the run resumable."),
 ]
+Instances = Annotated[
+    str | None,
+    typer.Option(help="Only these: patterns of names with commas between, as in uniform-*-n50."),
+]
 Seed = Annotated[int, typer.Option(help="Seed of the search.")]
 
 
@@ -86,12 +90,12 @@ def mfstsp(
 
     from rich.console import Console
 
-    from ground_station.adapters.files.compiled_code import enable_compile_cache_and_print_notice
-    from ground_station.adapters.files.mfstsp_files import (
+    from ground_station.adapters.files.benchmarks.mfstsp_files import (
         RESULTS_FILE,
         find_problem_folders,
         read_reference_results,
     )
+    from ground_station.adapters.files.compiled_code import enable_compile_cache_and_print_notice
     from ground_station.app.benchmarks.mfstsp_bench import (
         BenchParams,
         RowsLostError,
@@ -192,12 +196,7 @@ def tspd(
     ] = None,
     json_out: JsonFile = None,
     seed: Seed = 0,
-    instances: Annotated[
-        str | None,
-        typer.Option(
-            help="Only these: patterns of names with commas between, as in uniform-*-n50."
-        ),
-    ] = None,
+    instances: Instances = None,
 ) -> None:
     """One truck and one drone (Agatz, Bouman and Schmidt): plan every instance, check it, compare
     with published means and proven optima.
@@ -210,13 +209,13 @@ def tspd(
     from rich.console import Console
     from rich.progress import track
 
-    from ground_station.adapters.files.compiled_code import enable_compile_cache_and_print_notice
-    from ground_station.adapters.files.tspd_files import (
+    from ground_station.adapters.files.benchmarks.tspd_files import (
         REFERENCE_FILE,
         find_instance_files,
         read_optimum_cost_or_none,
         read_reference_costs,
     )
+    from ground_station.adapters.files.compiled_code import enable_compile_cache_and_print_notice
 
     console = Console()
     files = _select_instances(find_instance_files(folder), instances)
@@ -245,6 +244,50 @@ def tspd(
         rows = list(track(solved, "planning", total=len(files), console=console))
     _write_rows(json_out, rows, progress_log)
     print_tspd_report(console, rows, mean_costs, optima)
+
+
+@benchmark.command()
+def tsptw(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Instances (*.txt, *.tw).")],
+    seconds: Seconds = None,
+    best_known: Annotated[
+        Path | None, typer.Option(help="Best known makespans: lines of instance and value.")
+    ] = None,
+    json_out: JsonFile = None,
+    seed: Seed = 0,
+    instances: Instances = None,
+) -> None:
+    """Time windows without drones: plan every instance, check it, compare it with the best known.
+
+    ground-station benchmark tsptw Dumas/ --best-known Dumas-makespan.txt --json tsptw.json
+
+    Ctrl-C keeps the completed rows in a journal next to the JSON file; the same command continues
+    from there.
+    """
+    from rich.console import Console
+    from rich.progress import track
+
+    from ground_station.adapters.files.benchmarks import tsptw_files
+    from ground_station.adapters.files.compiled_code import enable_compile_cache_and_print_notice
+
+    console = Console()
+    files = _select_instances(tsptw_files.find_instance_files(folder), instances)
+    read = [tsptw_files.read_instance(path) for path in files]
+    best_s = tsptw_files.read_best_known(best_known) if best_known else {}
+    enable_compile_cache_and_print_notice(console)
+    from ground_station.app.benchmarks.mfstsp_bench import row_progress_log
+    from ground_station.app.benchmarks.tsptw_bench import (
+        plan_or_load_rows,
+        print_tsptw_report,
+        rows_digest,
+    )
+
+    progress_log = row_progress_log(json_out, rows_digest(files, seconds, seed))
+    with _resumable(console, json_out):
+        planned = plan_or_load_rows(read, best_s, seconds, seed, progress_log)
+        rows = list(track(planned, "planning", total=len(files), console=console))
+    _write_rows(json_out, rows, progress_log)
+    print_tsptw_report(console, rows)
 
 
 def _select_instances(files: list[Path], patterns: str | None) -> list[Path]:

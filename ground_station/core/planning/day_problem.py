@@ -41,6 +41,7 @@ from ground_station.core.truck_drones.problem import (
     DroneKind,
     LayeredAirspace,
     LegTables,
+    TimedOrders,
     TruckAndDrones,
 )
 
@@ -54,6 +55,13 @@ AVOIDANCE_M = max(AVOIDANCE_LEVELS) * AVOIDANCE_STEP_M
 """Most that a companion climbs to avoid a neighbour."""
 PRICED_LAYER = 2
 """Sorties are priced in the third layer until a layer is assigned."""
+
+
+ANY_TIME_S = (-math.inf, math.inf)
+URGENT_WEIGHT = 10.0
+"""[est] Weight of an urgent order's lateness."""
+LATE_PRICE = 3.0
+"""[est] Of a second of lateness, in seconds of makespan, in the search."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +92,7 @@ class DayProblem:
         """Return the delivery window of a node; infinite without one."""
         is_order = 0 < node <= len(self.orders)
         id_ = self.orders[node - 1].id if is_order else ""
-        return self.windows_s.get(id_, (-math.inf, math.inf))
+        return self.windows_s.get(id_, ANY_TIME_S)
 
     def is_timed(self, customer: int) -> bool:
         """Return whether an order has a window or priority."""
@@ -204,6 +212,7 @@ def build_day_problem(
     rises = [
         sorties.extra_climb_time_and_hover_s(number, LAYER_GAP_M) for number in range(len(classes))
     ]
+    windows_s = _windows_s(data, orders, t0_s)
     problem = TruckAndDrones(
         travel_s=_truck_travel_matrix_s(data, orders, ned_m, start_name),
         deliver_s=np.array([0.0, *(_deliver_s(order, truck) for order in orders), 0.0]),
@@ -236,9 +245,9 @@ def build_day_problem(
             routes.corner_indices_by_start_and_end(),
             routes.corners_ne_m,
         ),
+        timed=_timed_orders(orders, windows_s),
     )
     cruise_m = mission.cruise_height_m
-    windows_s = _windows_s(data, orders, t0_s)
     return DayProblem(
         frame, obstacles, tuple(orders), ned_m, classes, routes, problem, cruise_m, windows_s
     )
@@ -258,6 +267,22 @@ def _windows_s(data: DayData, orders: list[Order], t0_s: float) -> dict[str, tup
         for order in orders
         if order.window != (None, None)
     }
+
+
+def _timed_orders(
+    orders: list[Order], windows_s: Mapping[str, tuple[float, float]]
+) -> TimedOrders | None:
+    """Return windows and prices by node; None if no order has a window or priority."""
+    if not windows_s and not any(order.is_urgent for order in orders):
+        return None
+    windows = np.array([windows_s.get(order.id, ANY_TIME_S) for order in orders])
+    urgent = np.array([order.is_urgent for order in orders])
+    late_price = np.where(urgent, URGENT_WEIGHT, 1.0) * LATE_PRICE
+    by_node = (windows[:, 0], windows[:, 1], late_price, np.where(urgent, 1.0, 0.0))
+    ends = (ANY_TIME_S[0], ANY_TIME_S[1], 0.0, 0.0)
+    return TimedOrders(
+        *(np.array([end, *row, end]) for row, end in zip(by_node, ends, strict=True))
+    )
 
 
 def _infeasible_leg_tables(node_count: int) -> LegTables:
@@ -292,6 +317,7 @@ def without_orders(nodes: DayProblem, order_ids: set[str]) -> DayProblem:
         leg_tables=leg_tables,
         truck_can_serve=problem.truck_can_serve[keep],
         air=None if problem.air is None else _select_air_nodes(problem.air, keep),
+        timed=None if problem.timed is None else problem.timed.of_nodes(keep),
     )
     orders = tuple(order for order in nodes.orders if order.id not in order_ids)
     ned_m = nodes.ned_m[keep]

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
-from ground_station.core.planning.day_problem import DayProblem
+from ground_station.core.planning.day_problem import URGENT_WEIGHT, DayProblem
 from ground_station.core.planning.forward_pass import (
     ForwardPass,
     ForwardSchedule,
@@ -19,8 +19,6 @@ from ground_station.core.planning.launch_slots import SortieRequest
 
 MAX_CANDIDATES, CANDIDATE_ORDERS = 400, 12_000
 """Limits of the plans that are tried; fewer with more orders, since each takes longer."""
-URGENT_WEIGHT = 10.0
-"""[est] Weight of an urgent order's lateness."""
 MAX_POLISH_PASSES = 50
 POLISH_ORDERS = 2_000
 """Limits of polishing passes; fewer with more orders, since each pass takes longer."""

@@ -19,13 +19,15 @@ from ground_station.core.truck_drones.simulate import (
     index_route,
     index_sortie,
     initialise_drones_on_truck,
-    simulate_makespan_s,
+    simulate_cost_s,
     simulate_stop_and_next_arrival,
     store_flight_if_feasible,
+    timed_cost_s,
 )
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     DELAYS,
+    DELIVERED,
     DEPART,
     FIRST_LAUNCH,
     FLY,
@@ -54,12 +56,12 @@ UNCHANGED = (0, 0, 0.0)
 
 @compiled_inner
 def simulate_and_store(tables, plan, work_arrays):
-    """Simulate a plan and store the state for `incremental_makespan_s` in `work_arrays`; return the
+    """Simulate a plan and store the state for `incremental_cost_s` in `work_arrays`; return the
     makespan.
     """
-    makespan_s = simulate_makespan_s(tables, plan, work_arrays, INFEASIBLE_S)
+    cost_s = simulate_cost_s(tables, plan, work_arrays, INFEASIBLE_S)
     _store_restart_and_span_rows(plan, work_arrays.whole)
-    return makespan_s
+    return cost_s
 
 
 @compiled_inner
@@ -96,7 +98,7 @@ def _store_restart_and_span_rows(plan, int_rows):
 
 @compiled_inner
 def _time_after_change_s(change, row, customer, route_index, simulated):
-    """Return a time of a customer's sortie at this position, after `incremental_makespan_s`."""
+    """Return a time of a customer's sortie at this position, after `incremental_cost_s`."""
     first, end, shift_s = simulated
     if route_index < first:
         return change.work.times_s[row, customer]
@@ -107,7 +109,7 @@ def _time_after_change_s(change, row, customer, route_index, simulated):
 
 @compiled_inner
 def changed_drone_time_away_s(change, simulated):
-    """Return the total time of all drones away from the truck, after `incremental_makespan_s`."""
+    """Return the total time of all drones away from the truck, after `incremental_cost_s`."""
     away_s, plan, whole = 0.0, change.new_plan, change.new_work.whole
     for customer in range(1, plan.shape[1] - 1):
         if plan[LAUNCH, customer] == NOWHERE:
@@ -135,7 +137,7 @@ def total_drone_time_away_s(plan, work_arrays):
 
 @compiled_inner
 def commit_changed_simulation(change, simulated):
-    """Commit a simulation of `incremental_makespan_s` to the work arrays of the plan: earlier
+    """Commit a simulation of `incremental_cost_s` to the work arrays of the plan: earlier
     positions than `simulated` are unchanged, later ones shifted.
     """
     plan, new, old = change.new_plan, change.new_work, change.work
@@ -179,6 +181,7 @@ def commit_changed_simulation(change, simulated):
             old_whole[row, node] = whole[row, node]
         for row in (ARRIVE, DEPART, LAUNCHED, RECOVERED, FLY, SPARE, RELEASE, LEVEL, HOVER_LEFT):
             old_times_s[row, node] = times_s[row, node]
+        old_times_s[DELIVERED, node] = times_s[DELIVERED, node]
         for kind in range(free.shape[1]):
             old_free[node, kind] = free[node, kind]
     _store_restart_and_span_rows(plan, old_whole)
@@ -273,7 +276,19 @@ def _has_same_available_drones(
 
 
 @compiled_inner
-def incremental_makespan_s(change, makespan_limit_s):
+def _copy_deliveries_from_base(change, first_index):
+    """Copy the times of deliveries by truck and of launches from this position on."""
+    plan, new, old = change.new_plan, change.new_work, change.work
+    for customer in range(1, plan.shape[1] - 1):
+        launch = plan[LAUNCH, customer]
+        at = new.whole[POSITION, customer if launch == NOWHERE else launch]
+        if at >= first_index:
+            new.times_s[LAUNCHED, customer] = old.times_s[LAUNCHED, customer]
+            new.times_s[DELIVERED, customer] = old.times_s[DELIVERED, customer]
+
+
+@compiled_inner
+def incremental_cost_s(change, cost_limit_s):
     """Simulate the changed plan, starting from the simulation of the plan.
 
     Returns the makespan, and for `commit_changed_simulation` the simulated part: its first
@@ -281,7 +296,7 @@ def incremental_makespan_s(change, makespan_limit_s):
     changed.
     """
     tables, plan, base_plan = change.tables, change.new_plan, change.plan
-    new, old, base_makespan_s = change.new_work, change.work, change.makespans_s[0]
+    new, old, base_cost_s = change.new_work, change.work, change.costs_s[0]
     whole, times_s, free = new.whole, new.times_s, new.free
     old_whole, old_times_s, old_free = old.whole, old.times_s, old.free
     position_count = index_route(tables, plan, whole, times_s)
@@ -296,7 +311,7 @@ def incremental_makespan_s(change, makespan_limit_s):
         if plan[IDLE, kind] != base_plan[IDLE, kind]:
             first, last = 0, position_count
     if first == position_count:
-        return base_makespan_s, UNCHANGED
+        return base_cost_s, UNCHANGED
     begin = old_whole[RESTART, first]
     accumulate_remaining_work(tables, plan, times_s, begin, position_count - 2)
     if begin == 0:
@@ -309,6 +324,7 @@ def incremental_makespan_s(change, makespan_limit_s):
             free[begin, kind] = old_free[begin, kind]
         for customer in range(1, end):
             times_s[LAUNCHED, customer] = old_times_s[LAUNCHED, customer]
+            times_s[DELIVERED, customer] = old_times_s[DELIVERED, customer]
     if tables.air.priced:
         copy_earlier_launch_log(tables.air, old, new, begin)
 
@@ -323,7 +339,7 @@ def incremental_makespan_s(change, makespan_limit_s):
     shift_s, others, furthest = 0.0, NOWHERE, uniform
     at = begin
     while at < position_count:
-        if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > makespan_limit_s:
+        if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > cost_limit_s:
             return INFEASIBLE_S, UNCHANGED
         if at > last:
             arrived_s = old_times_s[ARRIVE, at - added_positions]
@@ -333,14 +349,22 @@ def incremental_makespan_s(change, makespan_limit_s):
             if (
                 others < at
                 and old_whole[SPANNED, at - added_positions] == 0
-                and min(arrived_s, arrived_s + now_s) >= tables.fixed_until_s
+                and (
+                    min(arrived_s, arrived_s + now_s) >= tables.fixed_until_s
+                    or (tables.is_timed and abs(now_s) <= SAME_SHIFT_S)
+                )
                 and _has_same_available_drones(free, at, old_free, at - added_positions)
                 and (
                     not tables.air.priced
                     or has_same_airborne_sorties(change, at, at - added_positions)
                 )
             ):
-                return base_makespan_s + now_s, (begin, at, now_s)
+                if not tables.is_timed:
+                    return base_cost_s + now_s, (begin, at, now_s)
+                _copy_deliveries_from_base(change, at)
+                makespan_s = old_times_s[DEPART, position_count - 1 - added_positions]
+                cost_s = makespan_s + timed_cost_s(tables, plan, times_s)
+                return cost_s, (begin, at, 0.0)
         next_position = simulate_stop_and_next_arrival(tables, plan, new, at)
         if next_position < 0:
             return INFEASIBLE_S, UNCHANGED
@@ -362,4 +386,5 @@ def incremental_makespan_s(change, makespan_limit_s):
                         uniform = max(uniform, to)
                 customer = whole[NEXT_LAUNCH, customer]
         at = next_position
-    return times_s[DEPART, position_count - 1], (begin, position_count, 0.0)
+    cost_s = times_s[DEPART, position_count - 1] + timed_cost_s(tables, plan, times_s)
+    return cost_s, (begin, position_count, 0.0)

@@ -15,7 +15,7 @@ from companion.core.base.errors import LeewayError
 from ground_station.core.truck_drones.edits import store_route_index_by_node
 from ground_station.core.truck_drones.first_plan import MAX_RENDEZVOUS_OFFSET, assign_best_sortie
 from ground_station.core.truck_drones.problem import TruckAndDrones
-from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
+from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_cost_s
 from ground_station.core.truck_drones.tables import (
     KIND,
     LAUNCH,
@@ -94,10 +94,7 @@ class _AssignmentTour:
                     break
                 trial[LAUNCH, customer], trial[RENDEZVOUS, customer] = node, rendezvous
                 trial[KIND, customer], trial[ORDER, customer] = kind, 0
-                if (
-                    simulate_makespan_s(self._tables, trial, self._work, INFEASIBLE_S)
-                    < INFEASIBLE_S
-                ):
+                if simulate_cost_s(self._tables, trial, self._work, INFEASIBLE_S) < INFEASIBLE_S:
                     self._plan = trial
                     self._unserved.discard(customer)
                     self._fixed_stops.add(rendezvous)

@@ -6,7 +6,7 @@ from companion.core.base.errors import LeewayError
 from ground_station.core.truck_drones.compiled import compiled, compiled_with_arrays
 from ground_station.core.truck_drones.edits import insert_stop, store_route_index_by_node
 from ground_station.core.truck_drones.problem import TruckAndDrones
-from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
+from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_cost_s
 from ground_station.core.truck_drones.tables import (
     KIND,
     LAUNCH,
@@ -39,7 +39,7 @@ def build_first_plan(problem: TruckAndDrones, tables: ProblemTables, work: WorkA
             )
             if cost_s == INFEASIBLE_S:
                 raise LeewayError(f"customer {customer}: no drone reaches it from any stop")
-    makespan_s = simulate_makespan_s(tables, plan, work, INFEASIBLE_S)
+    makespan_s = simulate_cost_s(tables, plan, work, INFEASIBLE_S)
     replace_stops_by_sorties(tables, work, plan, position, makespan_s)
     return plan
 
@@ -73,7 +73,7 @@ def assign_best_sortie(
             for rendezvous in range(launch + (0 if tables.pads else 1), furthest + 1):
                 plan[LAUNCH, customer] = plan[ROUTE, launch]
                 plan[RENDEZVOUS, customer] = plan[ROUTE, rendezvous]
-                cost_s = simulate_makespan_s(tables, plan, work_arrays, best_s)
+                cost_s = simulate_cost_s(tables, plan, work_arrays, best_s)
                 if cost_s < best_s:
                     best_s, best_kind = cost_s, kind
                     best_launch, best_rendezvous = plan[ROUTE, launch], plan[ROUTE, rendezvous]

@@ -72,6 +72,25 @@ class LayeredAirspace:
 
 
 @dataclass(frozen=True, slots=True)
+class TimedOrders:
+    """Delivery windows and priorities by node, from the truck's departure.
+
+    No delivery is before `opens_s`. The cost of a plan is its makespan, `late_price` for each
+    second after `closes_s`, and `time_price` for each second until the delivery.
+    """
+
+    opens_s: Floats
+    closes_s: Floats
+    late_price: Floats
+    time_price: Floats
+
+    def of_nodes(self, nodes: list[int]) -> "TimedOrders":
+        """Return those of these nodes only."""
+        rows = (self.opens_s, self.closes_s, self.late_price, self.time_price)
+        return TimedOrders(*(row[nodes] for row in rows))
+
+
+@dataclass(frozen=True, slots=True)
 class TruckAndDrones:
     """The complete problem. `travel_s` is directed; `deliver_s` is 0 at nodes without a customer.
 
@@ -81,7 +100,7 @@ class TruckAndDrones:
     `takeoff_wait_s`: time from a launch to take-off, during which the truck stays. `loops_only`:
     each drone is recovered at its launch stop. `hold_s`: earliest departure from the first node.
     `release_s`, by customer: earliest start of its launch (a launch slot). `air`: set if drones
-    must be separated.
+    must be separated. `timed`: set if orders have windows or priorities.
     """
 
     travel_s: Floats
@@ -97,6 +116,7 @@ class TruckAndDrones:
     hold_s: float = 0.0
     release_s: Floats | None = None
     air: LayeredAirspace | None = None
+    timed: TimedOrders | None = None
 
     def __post_init__(self) -> None:
         nodes = self.nodes

@@ -5,7 +5,7 @@ from typing import Literal
 
 from companion.core.base.errors import LeewayError
 from ground_station.core.truck_drones.problem import TruckAndDrones
-from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
+from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_cost_s
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     DELIVERED,
@@ -121,7 +121,7 @@ def _simulated_work(problem: TruckAndDrones, plan: Plan) -> WorkArrays:
     """Return the arrays of a simulation. Raises LeewayError if the plan is infeasible."""
     tables = tables_of(problem)
     work = allocate_work_arrays(tables)
-    if simulate_makespan_s(tables, plan, work, INFEASIBLE_S) == INFEASIBLE_S:
+    if simulate_cost_s(tables, plan, work, INFEASIBLE_S) == INFEASIBLE_S:
         raise LeewayError("truck and drones: infeasible plan")
     return work
 

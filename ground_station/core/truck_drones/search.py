@@ -14,7 +14,7 @@ from ground_station.core.truck_drones.changed_plan import (
     UNCHANGED,
     changed_drone_time_away_s,
     commit_changed_simulation,
-    incremental_makespan_s,
+    incremental_cost_s,
     simulate_and_store,
     total_drone_time_away_s,
 )
@@ -28,9 +28,11 @@ from ground_station.core.truck_drones.random_stream import (
     draw_uniform,
     seeded_stream_from_generator,
 )
-from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
+from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_cost_s
 from ground_station.core.truck_drones.tables import (
+    DEPART,
     IDLE,
+    POSITION,
     ChangeArrays,
     Plan,
     allocate_work_arrays,
@@ -146,7 +148,7 @@ def anneal_plan_in_place(
         change.tables,
         change.plan,
         change.new_plan,
-        change.makespans_s,
+        change.costs_s,
     )
     new_work, new_route_index, stream = change.new_work, change.new_route_index, change.stream
     whole_only = costs_s[0] == INFEASIBLE_S
@@ -175,9 +177,9 @@ def anneal_plan_in_place(
         if not changed:
             continue
         if whole_only:
-            makespan_s = simulate_makespan_s(tables, new_plan, new_work, makespan_limit_s)
+            makespan_s = simulate_cost_s(tables, new_plan, new_work, makespan_limit_s)
         else:
-            makespan_s, simulated = incremental_makespan_s(change, makespan_limit_s)
+            makespan_s, simulated = incremental_cost_s(change, makespan_limit_s)
             if simulated[1] == 0:
                 continue
         if makespan_s > makespan_limit_s:
@@ -194,7 +196,7 @@ def anneal_plan_in_place(
         costs_s[0] = makespan_s
         if makespan_s < costs_s[1] - 1e-9:
             if not whole_only:
-                makespan_s = simulate_makespan_s(tables, plan, new_work, INFEASIBLE_S)
+                makespan_s = simulate_cost_s(tables, plan, new_work, INFEASIBLE_S)
             if makespan_s < costs_s[1]:
                 costs_s[1] = makespan_s
                 _copy_array(plan, best)
@@ -224,7 +226,7 @@ class PlanSearch(AnnealingSearch):
         first = build_first_plan(problem, tables, new_work) if start is None else start
         self._position = np.zeros(problem.nodes, dtype=np.int64)
         store_route_index_by_node(first, self._position)
-        first_s = simulate_makespan_s(tables, first, new_work, INFEASIBLE_S)
+        first_s = simulate_cost_s(tables, first, new_work, INFEASIBLE_S)
         self.best: Plan = first.copy()
         self._first: Plan = first.copy()
         self._change = ChangeArrays(
@@ -237,14 +239,16 @@ class PlanSearch(AnnealingSearch):
             new_work,
             self._position.copy(),
         )
-        self.mean_leg = first_s / problem.nodes
+        at_end = new_work.whole[POSITION, problem.end_node]
+        makespan_s = float(new_work.times_s[DEPART, at_end]) if first_s < INFEASIBLE_S else first_s
+        self.mean_leg = makespan_s / problem.nodes
         self._constructed: list[Plan] | None = None
         self._start_plan: Plan | None = None
 
     @property
     def best_makespan_s(self) -> float:
         """Makespan of the best plan found."""
-        return float(self._change.makespans_s[1])
+        return float(self._change.costs_s[1])
 
     def run_trials(self, trials: int, schedule_from_frac: float, schedule_to_frac: float) -> None:
         """Run trials, cooling over this part of the schedule (0: its start, 1: its end)."""
@@ -272,13 +276,13 @@ class PlanSearch(AnnealingSearch):
         plan = self._start_plan_of_cooling(cooling)
         self._change.plan[:] = plan
         store_route_index_by_node(plan, self._position)
-        self._change.makespans_s[0] = self._simulate_and_keep_if_best(plan)
+        self._change.costs_s[0] = self._simulate_and_keep_if_best(plan)
 
     def _simulate_and_keep_if_best(self, plan: Plan) -> float:
         change = self._change
-        makespan_s = simulate_makespan_s(change.tables, plan, change.new_work, INFEASIBLE_S)
+        makespan_s = simulate_cost_s(change.tables, plan, change.new_work, INFEASIBLE_S)
         if makespan_s < self.best_makespan_s:
-            change.makespans_s[1] = makespan_s
+            change.costs_s[1] = makespan_s
             self.best[:] = plan
         return makespan_s
 

@@ -1,6 +1,7 @@
 """The times of a plan: truck, driver and drones, in one pass along the route.
 
-At a node the driver selects the first possible task of: a recovery that cannot wait for a launch;
+A delivery is possible from the opening of its window, and a launch so that its drop is. At a node
+the driver selects the first possible task of: a recovery that cannot wait for a launch;
 the launch with the earliest recovery; a recovery; the truck's own delivery; a launch marked LATE.
 If no task is possible, or none that ends before a drone marked AT_ONCE arrives, the driver waits. A
 drone that would hover too long before its recovery is launched later by the excess (at no cost if
@@ -18,6 +19,7 @@ from ground_station.core.truck_drones.layers.layer_pricing import find_free_laye
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     BLOCKED,
+    CLOSES,
     DELAYS,
     DELIVERED,
     DEPART,
@@ -29,6 +31,7 @@ from ground_station.core.truck_drones.tables import (
     IMMEDIATE,
     KIND,
     LATE,
+    LATE_PRICE,
     LAUNCH,
     LAUNCHED,
     LAYER,
@@ -38,6 +41,7 @@ from ground_station.core.truck_drones.tables import (
     NEXT_LAUNCH,
     NEXT_RECOVERY,
     NOWHERE,
+    OPENS,
     ORDER,
     PENDING,
     POSITION,
@@ -46,6 +50,7 @@ from ground_station.core.truck_drones.tables import (
     RENDEZVOUS,
     ROUTE,
     SPARE,
+    TIME_PRICE,
     WORK_AFTER,
 )
 
@@ -83,6 +88,11 @@ def index_sortie(tables, plan, int_rows, times_s, customer):
     kind = plan[KIND, customer]
     int_rows[DELAYS, customer] = 0
     times_s[RELEASE, customer] = max(tables.release_s[customer], tables.from_s[kind])
+    if tables.is_timed:
+        until_drop_s = tables.launch_s[kind] + tables.out_s[kind, launch, customer]
+        times_s[RELEASE, customer] = max(
+            times_s[RELEASE, customer], tables.timed[OPENS, customer] - until_drop_s
+        )
     int_rows[NEXT_LAUNCH, customer] = int_rows[FIRST_LAUNCH, launch]
     int_rows[FIRST_LAUNCH, launch] = customer
     int_rows[NEXT_RECOVERY, customer] = int_rows[FIRST_RECOVERY, rendezvous]
@@ -242,7 +252,9 @@ def _process_driver_tasks_at_stop(tables, plan, int_rows, times_s, available, ro
     airborne_s = now_s
     _mark_pending_sorties_of_node(plan, int_rows, times_s, node)
     deliver, logged = deliver_s > 0.0, int_rows[LOGGED, route_index]
+    opens_s = tables.timed[OPENS, node] if tables.is_timed else -INFEASIBLE_S
     while True:
+        open_delivery = deliver and now_s >= opens_s - EPSILON_S
         launch, later_launch_s, launches = _next_launch_and_times(
             plan, int_rows, times_s, available, node, now_s
         )
@@ -255,16 +267,18 @@ def _process_driver_tasks_at_stop(tables, plan, int_rows, times_s, available, ro
             return max(now_s, airborne_s), route_index + 1
         if launch >= 0:
             ends_s = now_s + launch_s[plan[KIND, launch]]
-            if not _is_launch_first(plan, launch, recovery, deliver, ends_s, deadline_s):
+            if not _is_launch_first(plan, launch, recovery, open_delivery, ends_s, deadline_s):
                 launch = NOWHERE
         if launch >= 0:
             duration_s = launch_s[plan[KIND, launch]]
         elif recovery >= 0:
             duration_s = recover_s[plan[KIND, recovery]]
-        elif deliver:
+        elif open_delivery:
             duration_s = deliver_s
         else:
             now_s = min(later_launch_s, later_recovery_s)
+            if deliver:
+                now_s = min(now_s, opens_s)
             if now_s == INFEASIBLE_S:
                 return INFEASIBLE_S, -1
             continue
@@ -356,9 +370,29 @@ def initialise_drones_on_truck(tables, plan, drones_on_truck):
         drones_on_truck[0, kind] = tables.fleet[kind] - unused
 
 
+@compiled_inner
+def timed_cost_s(tables, plan, times_s):
+    """Return the cost of late and urgent orders of a simulated plan, s of makespan."""
+    cost_s, timed = 0.0, tables.timed
+    if not tables.is_timed:
+        return cost_s
+    for customer in range(1, plan.shape[1] - 1):
+        if timed[LATE_PRICE, customer] == 0.0 and timed[TIME_PRICE, customer] == 0.0:
+            continue
+        at_s = times_s[DELIVERED, customer]
+        if plan[LAUNCH, customer] != NOWHERE:
+            kind, rendezvous = plan[KIND, customer], plan[RENDEZVOUS, customer]
+            at_s = times_s[LAUNCHED, customer] + times_s[FLY, customer]
+            at_s -= tables.back_s[kind, customer, rendezvous]
+        late_s = max(0.0, at_s - timed[CLOSES, customer])
+        cost_s += timed[LATE_PRICE, customer] * late_s + timed[TIME_PRICE, customer] * at_s
+    return cost_s
+
+
 @compiled
-def simulate_makespan_s(tables, plan, work_arrays, makespan_limit_s):
-    """Return the makespan, s; inf if the plan is infeasible or exceeds `makespan_limit_s`."""
+def simulate_cost_s(tables, plan, work_arrays, cost_limit_s):
+    """Return the makespan plus the cost of late and urgent orders, s; inf if the plan is infeasible
+    or its makespan exceeds `cost_limit_s`."""
     whole, times_s = work_arrays.whole, work_arrays.times_s
     position_count = index_plan(tables, plan, whole, times_s)
     if position_count == 0:
@@ -367,9 +401,9 @@ def simulate_makespan_s(tables, plan, work_arrays, makespan_limit_s):
     times_s[ARRIVE, 0], whole[LOGGED, 0] = 0.0, 0
     at = 0
     while at < position_count:
-        if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > makespan_limit_s:
+        if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > cost_limit_s:
             return INFEASIBLE_S
         at = simulate_stop_and_next_arrival(tables, plan, work_arrays, at)
         if at < 0:
             return INFEASIBLE_S
-    return times_s[DEPART, position_count - 1]
+    return times_s[DEPART, position_count - 1] + timed_cost_s(tables, plan, times_s)

@@ -5,12 +5,13 @@ served by a drone its launch node, rendezvous node, kind of drone, and flags for
 and recovery; and, by kind, the number of unused drones.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ground_station.core.truck_drones.problem import LayeredAirspace, TruckAndDrones
+from ground_station.core.truck_drones.problem import LayeredAirspace, TimedOrders, TruckAndDrones
 from ground_station.core.truck_drones.tuple_reference import passed_by_reference
 
 ROUTE, LAUNCH, RENDEZVOUS, KIND, ORDER, IDLE = range(6)
@@ -45,13 +46,18 @@ class ProblemTables(NamedTuple):
     from_s: NDArray[np.float64]
     release_s: NDArray[np.float64]
     fixed_until_s: float
-    """The latest of `from_s` and `release_s`: after it a plan may be shifted in time."""
+    """The latest of `from_s` and `release_s`: after it a plan may be shifted in time. Never if
+    orders are timed."""
     hold_s: float
     pads: bool
     lead_s: float
     takeoff_wait_s: float
     loops_only: bool
     air: "AirTable"
+    is_timed: bool
+    """Whether orders have windows or priorities."""
+    timed: NDArray[np.float64]
+    """`TimedOrders`: rows OPENS to TIME_PRICE by node."""
 
 
 @passed_by_reference
@@ -78,6 +84,7 @@ class AirTable(NamedTuple):
     corners_ne_m: NDArray[np.float64]
 
 
+OPENS, CLOSES, LATE_PRICE, TIME_PRICE = range(4)
 LAYER_S, LAYER_HOVER_S = range(2)
 NORTH, EAST, LOWEST, LAYERS = range(4)
 
@@ -108,7 +115,7 @@ class ChangeArrays(NamedTuple):
     plan: Plan
     work: WorkArrays
     """By `simulate_and_store` or `commit_changed_simulation`."""
-    makespans_s: NDArray[np.float64]
+    costs_s: NDArray[np.float64]
     """Of the plan, and of the best plan found."""
     new_plan: Plan
     new_work: WorkArrays
@@ -147,14 +154,17 @@ TIMES_ROWS = BENDS + 4 * LEG_BENDS
 REMOVED, AWAY = 0, 1
 
 NEAR_COUNT = 30
+_WAIT_WEIGHT = 0.2
 
 
 def tables_of(problem: TruckAndDrones) -> ProblemTables:
     """Return the arrays of a problem."""
-    kinds, leg_tables = problem.kinds, problem.leg_tables
-    round_trip_s = problem.travel_s + problem.travel_s.T
-    np.fill_diagonal(round_trip_s, np.inf)
-    near = np.argsort(round_trip_s, axis=1, kind="stable")[:, : min(NEAR_COUNT, problem.nodes - 1)]
+    kinds, leg_tables, timed = problem.kinds, problem.leg_tables, problem.timed
+    apart_s = problem.travel_s + problem.travel_s.T
+    if timed is not None:
+        apart_s = apart_s + _window_distance_s(problem, timed)
+    np.fill_diagonal(apart_s, np.inf)
+    near = np.argsort(apart_s, axis=1, kind="stable")[:, : min(NEAR_COUNT, problem.nodes - 1)]
     from_s = np.array([kind.from_s for kind in kinds])
     release_s = np.zeros(problem.nodes) if problem.release_s is None else problem.release_s
     return ProblemTables(
@@ -173,14 +183,29 @@ def tables_of(problem: TruckAndDrones) -> ProblemTables:
         near=np.ascontiguousarray(near, dtype=np.int64),
         from_s=from_s,
         release_s=release_s,
-        fixed_until_s=float(max(from_s.max(), release_s.max())),
+        fixed_until_s=math.inf if timed else float(max(from_s.max(), release_s.max())),
         hold_s=problem.hold_s,
         pads=problem.pads,
         lead_s=problem.lead_s,
         takeoff_wait_s=problem.takeoff_wait_s,
         loops_only=problem.loops_only,
         air=_air_table(problem.air, sum(kind.count for kind in kinds)),
+        is_timed=timed is not None,
+        timed=np.array([timed.opens_s, timed.closes_s, timed.late_price, timed.time_price])
+        if timed
+        else np.zeros((4, 0)),
     )
+
+
+def _window_distance_s(problem: TruckAndDrones, timed: TimedOrders) -> NDArray[np.float64]:
+    """Return the least waiting and lateness of two nodes in sequence, in the better order (Vidal
+    and others, Computers & Operations Research 40, 2013).
+    """
+    drive_s = problem.deliver_s[:, None] + problem.travel_s
+    wait_s = np.maximum(timed.opens_s[None, :] - timed.closes_s[:, None] - drive_s, 0.0)
+    late_s = np.maximum(timed.opens_s[:, None] + drive_s - timed.closes_s[None, :], 0.0)
+    apart_s = _WAIT_WEIGHT * wait_s + late_s
+    return 2.0 * np.minimum(apart_s, apart_s.T)
 
 
 def _air_table(air: LayeredAirspace | None, drone_count: int) -> AirTable:

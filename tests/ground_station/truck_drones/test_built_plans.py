@@ -109,7 +109,7 @@ def test_rebuilt_plans_serve_everyone_and_the_time_away_is_that_of_the_whole_sim
     from ground_station.core.truck_drones.edits import store_route_index_by_node
     from ground_station.core.truck_drones.moves import try_random_move
     from ground_station.core.truck_drones.search import INSERTION
-    from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
+    from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_cost_s
     from ground_station.core.truck_drones.tables import allocate_work_arrays
 
     change = change_of_first_plan(problem)
@@ -118,16 +118,16 @@ def test_rebuilt_plans_serve_everyone_and_the_time_away_is_that_of_the_whole_sim
     place, its_place = change.new_route_index.copy(), change.new_route_index
     move = callable_from_python(try_random_move)
     rebuild = callable_from_python(try_random_removal_and_reinsertion)
-    incremental_s = callable_from_python(changed_plan.incremental_makespan_s)
+    incremental_s = callable_from_python(changed_plan.incremental_cost_s)
     changed_away_s = callable_from_python(changed_plan.changed_drone_time_away_s)
     total_away_s = callable_from_python(changed_plan.total_drone_time_away_s)
     commit = callable_from_python(changed_plan.commit_changed_simulation)
     store = callable_from_python(changed_plan.simulate_and_store)
-    change.makespans_s[0] = store(tables, plan, change.work)
+    change.costs_s[0] = store(tables, plan, change.work)
     counts = {"rebuilt": 0, "moved": 0}
     for number in range(1200):
         changed[:], its_place[:] = plan, place
-        now_s = change.makespans_s[0]
+        now_s = change.costs_s[0]
         large = number % 2 == 0
         if large:
             done, timed = rebuild(change, now_s + 60.0, INSERTION)
@@ -144,13 +144,13 @@ def test_rebuilt_plans_serve_everyone_and_the_time_away_is_that_of_the_whole_sim
         if simulated[1] == 0:
             continue
         assert makespan_s == pytest.approx(
-            simulate_makespan_s(tables, changed, whole, INFEASIBLE_S), abs=1e-6
+            simulate_cost_s(tables, changed, whole, INFEASIBLE_S), abs=1e-6
         )
         away_s = changed_away_s(change, simulated)
         assert away_s == pytest.approx(total_away_s(changed, whole), abs=1e-6)
         assert_everyone_is_served_once(problem, simulate_schedule(problem, changed))
         counts["rebuilt" if large else "moved"] += 1
-        plan[:], place[:], change.makespans_s[0] = changed, its_place, makespan_s
+        plan[:], place[:], change.costs_s[0] = changed, its_place, makespan_s
         commit(change, simulated)
     assert min(counts.values()) >= 50, counts
 

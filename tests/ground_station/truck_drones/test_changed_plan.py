@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground_station.core.truck_drones.problem import LayeredAirspace, TruckAndDrones
+from ground_station.core.truck_drones.problem import LayeredAirspace, TimedOrders, TruckAndDrones
 from ground_station.core.truck_drones.schedule import simulate_schedule
 from ground_station.core.truck_drones.search import SearchPolicy, plan_for_larger_fleet
 from tests.ground_station.truck_drones.compiled_calls import callable_from_python
@@ -66,6 +66,17 @@ def with_layers(seed: int, layers: int) -> TruckAndDrones:
     return replace(problem, air=air)
 
 
+def with_windows(problem: TruckAndDrones, seed: int) -> TruckAndDrones:
+    """Half of the customers with a window of a day's tenth; a fifth urgent."""
+    rng = np.random.default_rng(seed)
+    size, day_s = problem.nodes, float(problem.travel_s.mean()) * problem.nodes
+    opens_s = np.where(rng.random(size) < 0.5, rng.uniform(0.0, 0.6 * day_s, size), -np.inf)
+    closes_s = np.where(np.isfinite(opens_s), opens_s + 0.1 * day_s, np.inf)
+    urgent = np.where(rng.random(size) < 0.2, 1.0, 0.0)
+    late_price = np.where(np.isfinite(opens_s), 10.0, 0.0)
+    return replace(problem, timed=TimedOrders(opens_s, closes_s, late_price, urgent))
+
+
 def change_of_first_plan(problem: TruckAndDrones) -> Any:
     """Return the first plan of a problem, not simulated, with an equal changed plan."""
     from ground_station.core.truck_drones.edits import store_route_index_by_node
@@ -91,17 +102,25 @@ def change_of_first_plan(problem: TruckAndDrones) -> Any:
 @pytest.mark.sample
 @pytest.mark.parametrize(
     "problem",
-    [mixed_problem(0), scarce(1), with_pads(2), with_layers(2, 2), with_layers(3, 4)],
-    ids=["plain", "scarce", "pads", "few layers", "layers"],
+    [
+        mixed_problem(0),
+        scarce(1),
+        with_pads(2),
+        with_layers(2, 2),
+        with_layers(3, 4),
+        with_windows(mixed_problem(4), 4),
+        with_windows(with_layers(5, 4), 5),
+    ],
+    ids=["plain", "scarce", "pads", "few layers", "layers", "windows", "windows and layers"],
 )
 def test_a_changed_plan_takes_as_long_as_when_all_of_it_is_timed(problem: TruckAndDrones):
     from ground_station.core.truck_drones.changed_plan import (
         commit_changed_simulation,
-        incremental_makespan_s,
+        incremental_cost_s,
         simulate_and_store,
     )
     from ground_station.core.truck_drones.moves import try_random_move
-    from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
+    from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_cost_s
     from ground_station.core.truck_drones.tables import allocate_work_arrays
 
     change = change_of_first_plan(problem)
@@ -110,24 +129,24 @@ def test_a_changed_plan_takes_as_long_as_when_all_of_it_is_timed(problem: TruckA
     rng = np.random.default_rng(4)
     place = change.new_route_index.copy()
     move = callable_from_python(try_random_move)
-    incremental_s = callable_from_python(incremental_makespan_s)
+    incremental_s = callable_from_python(incremental_cost_s)
     commit = callable_from_python(commit_changed_simulation)
-    change.makespans_s[0] = callable_from_python(simulate_and_store)(tables, plan, change.work)
+    change.costs_s[0] = callable_from_python(simulate_and_store)(tables, plan, change.work)
     counts = {"impossible": 0, "in part": 0, "adopted": 0}
     for _ in range(CHANGES):
         change.new_plan[:], change.new_route_index[:] = plan, place
         if not move(tables, change.new_plan, change.new_route_index, change.stream):
             continue
-        now_s = change.makespans_s[0]
+        now_s = change.costs_s[0]
         makespan_s, (begin, at, shift_s) = incremental_s(change, INFEASIBLE_S)
-        expected_s = simulate_makespan_s(tables, change.new_plan, whole, INFEASIBLE_S)
+        expected_s = simulate_cost_s(tables, change.new_plan, whole, INFEASIBLE_S)
         assert makespan_s == pytest.approx(expected_s, abs=1e-6)
         counts["impossible"] += expected_s == INFEASIBLE_S
         if at == 0 or makespan_s > now_s + rng.exponential(TEMPERATURE_S):
             continue
         counts["in part"] += begin > 0 or at <= change.new_route_index[problem.end_node]
         counts["adopted"] += 1
-        plan[:], place[:], change.makespans_s[0] = (
+        plan[:], place[:], change.costs_s[0] = (
             change.new_plan,
             change.new_route_index,
             makespan_s,

@@ -11,13 +11,13 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.compiled_code import enable_compile_cache_and_check_if_known
-from ground_station.adapters.files.tspd_files import (
+from ground_station.adapters.files.benchmarks.tspd_files import (
     TspdInstance,
     read_instance,
     read_optimum_cost_or_none,
     read_reference_costs,
 )
+from ground_station.adapters.files.compiled_code import enable_compile_cache_and_check_if_known
 from ground_station.app.cli.benchmark import benchmark
 from ground_station.core.benchmark.operations_check import plan_violations
 

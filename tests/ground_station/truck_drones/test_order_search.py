@@ -159,7 +159,7 @@ def test_every_plan_of_coolings_spends_all_its_seconds() -> None:
 
 @pytest.mark.parametrize("nodes", [12, 40])
 def test_a_search_by_seconds_ends_in_time_and_is_as_good_as_its_orders(nodes: int) -> None:
-    from ground_station.adapters.files.tspd_files import TspdInstance
+    from ground_station.adapters.files.benchmarks.tspd_files import TspdInstance
     from ground_station.app.benchmarks.tspd_bench import plan_and_check_instance
 
     places = np.random.default_rng(9).uniform(0.0, 100.0, (nodes, 2))

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.mfstsp_files import (
+from ground_station.adapters.files.benchmarks.mfstsp_files import (
     read_problem,
     read_reference_results,
     read_vehicles,

@@ -14,7 +14,7 @@ from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import store_route_index_by_node
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.random_stream import draw_integer_below
-from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
+from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_cost_s
 from ground_station.core.truck_drones.tables import (
     NOWHERE,
     REMOVED,
@@ -75,7 +75,7 @@ def _build_makespan_and_plan(change: ChangeArrays, tour: list[int]) -> tuple[flo
         _insert_into_tour_at_least_detour(tables, tour, int(left))
     if left != NOWHERE:
         return INFEASIBLE_S, plan.copy()
-    return float(simulate_makespan_s(tables, plan, change.new_work, INFEASIBLE_S)), plan.copy()
+    return float(simulate_cost_s(tables, plan, change.new_work, INFEASIBLE_S)), plan.copy()
 
 
 def _insert_into_tour_at_least_detour(
@@ -117,7 +117,7 @@ def _insert_unserved_in_random_order(change, narrow_params, wide_params):
                     swap = scratch[REMOVED, low]
                     scratch[REMOVED, low], scratch[REMOVED, high] = scratch[REMOVED, high], swap
                     break
-    change.makespans_s[0] = simulate_and_store(tables, plan, change.work)
+    change.costs_s[0] = simulate_and_store(tables, plan, change.work)
     for left in range(count, 0, -1):
         by_road = count - by_air
         drawn = (
@@ -139,5 +139,5 @@ def _insert_unserved_in_random_order(change, narrow_params, wide_params):
             )
         if served_s == INFEASIBLE_S:
             return customer
-        change.makespans_s[0] = simulate_and_store(tables, plan, change.work)
+        change.costs_s[0] = simulate_and_store(tables, plan, change.work)
     return NOWHERE

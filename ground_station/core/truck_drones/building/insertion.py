@@ -6,7 +6,7 @@ the truck: a drone that returns early can fly again.
 
 from typing import NamedTuple
 
-from ground_station.core.truck_drones.changed_plan import incremental_makespan_s
+from ground_station.core.truck_drones.changed_plan import incremental_cost_s
 from ground_station.core.truck_drones.compiled import compiled_inner
 from ground_station.core.truck_drones.edits import insert_stop
 from ground_station.core.truck_drones.random_stream import draw_uniform
@@ -111,7 +111,7 @@ def _best_truck_route_index(change, customer, makespan_limit_s, params):
                 continue
             insert_stop(plan, route_index_by_node, customer, to)
             evaluated += 1
-            makespan_s, simulated = incremental_makespan_s(change, best_s)
+            makespan_s, simulated = incremental_cost_s(change, best_s)
             undo_insert_stop(plan, route_index_by_node, to)
             if simulated[1] > 0 and makespan_s < best_s:
                 best_at, best_s = to, makespan_s
@@ -165,7 +165,7 @@ def insert_customer_at_best_position(change, customer, makespan_limit_s, params)
                     continue
                 plan[LAUNCH, customer], plan[RENDEZVOUS, customer] = start, stop
                 evaluated += 1
-                makespan_s, simulated = incremental_makespan_s(
+                makespan_s, simulated = incremental_cost_s(
                     change, min(makespan_limit_s, best_cost_s)
                 )
                 if simulated[1] == 0:

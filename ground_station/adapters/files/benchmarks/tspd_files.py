@@ -60,7 +60,7 @@ def read_instance(path: Path) -> TspdInstance:
     lines = _numbered_lines_without_comments(path)
     if len(lines) < 4:
         raise LeewayError(f"{path}: expected costs of truck and drone, nodes, the depot, places")
-    truck, drone = (_parse_finite_number(path, line, text) for line, text in lines[:2])
+    truck, drone = (parse_finite_number(path, line, text) for line, text in lines[:2])
     for (line, _), cost in zip(lines[:2], (truck, drone), strict=True):
         if cost <= 0.0:
             raise LeewayError(f"{path}:{line}: cost {cost:g}, expected more than 0")
@@ -84,11 +84,11 @@ def read_optimum_cost_or_none(instance_path: Path) -> float | None:
     path = instance_path.with_name(instance_path.stem + OPTIMUM_SUFFIX)
     if not path.exists():
         return None
-    found = re.search(r"Total cost\s*:\s*([0-9.eE+-]+)", _read_text(path))
+    found = re.search(r"Total cost\s*:\s*([0-9.eE+-]+)", read_text(path))
     if found is None:
         raise LeewayError(f"{path}: no line with the total cost")
-    line = _read_text(path)[: found.start()].count("\n") + 1
-    return _parse_finite_number(path, line, found[1])
+    line = read_text(path)[: found.start()].count("\n") + 1
+    return parse_finite_number(path, line, found[1])
 
 
 def read_reference_costs(path: Path) -> dict[ReferenceKey, ReferenceCosts]:
@@ -96,7 +96,7 @@ def read_reference_costs(path: Path) -> dict[ReferenceKey, ReferenceCosts]:
     if not path.exists():
         return {}
     costs: dict[ReferenceKey, ReferenceCosts] = {}
-    for line, row in enumerate(csv.DictReader(_read_text(path).splitlines()), start=2):
+    for line, row in enumerate(csv.DictReader(read_text(path).splitlines()), start=2):
         try:
             key = (row["set"], int(row["alpha"]), int(row["n"]))
             names = ("dps25_mean", "hga_best", "hga_mean", "icp_mean", "icp_s")
@@ -112,7 +112,7 @@ def _numbered_lines_without_comments(path: Path) -> list[tuple[int, str]]:
     """Return non-empty lines without comments, with their line numbers."""
     found = [
         (line, re.sub(r"/\*.*?\*/", "", text).strip())
-        for line, text in enumerate(_read_text(path).splitlines(), start=1)
+        for line, text in enumerate(read_text(path).splitlines(), start=1)
     ]
     return [(line, text) for line, text in found if text]
 
@@ -121,12 +121,11 @@ def _parse_point(path: Path, line: int, text: str) -> tuple[float, float]:
     columns = text.split()
     if len(columns) < 2:
         raise LeewayError(f"{path}:{line}: {text!r}, expected x, y and a name")
-    return _parse_finite_number(path, line, columns[0]), _parse_finite_number(
-        path, line, columns[1]
-    )
+    return parse_finite_number(path, line, columns[0]), parse_finite_number(path, line, columns[1])
 
 
-def _parse_finite_number(path: Path, line: int, text: str) -> float:
+def parse_finite_number(path: Path, line: int, text: str) -> float:
+    """Return a finite number; LeewayError names file and line."""
     try:
         number = float(text)
     except ValueError as error:
@@ -136,7 +135,8 @@ def _parse_finite_number(path: Path, line: int, text: str) -> float:
     return number
 
 
-def _read_text(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """Return a file's text; LeewayError names the file."""
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:

@@ -1,0 +1,1 @@
+"""Files of the public benchmark sets."""
