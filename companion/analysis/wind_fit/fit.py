@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, get_lapack_funcs
 from scipy.optimize import minimize
 
 from companion.core.base.arrays import Floats
@@ -203,24 +203,26 @@ def _window_log_likelihood_and_gradient(
         np.exp(log_parameters[:parts]),
         variance_scale * np.exp(log_parameters[parts:]),
     )
-    lag = np.abs(np.subtract.outer(t_s, t_s))
-    shares = [_covariance_of_10_s_means_and_slope(m, lag) for m in memory]
-    each = [v * share for v, (share, _) in zip(variance, shares, strict=True)]
-    cov = np.sum(each, axis=0) + _LEVEL_STD_MPS**2
-    cov[np.diag_indices(t_s.size)] += _INSTRUMENT_VARIANCE_M2PS2
-    factor = cho_factor(cov, lower=True, overwrite_a=True, check_finite=False)
-    inverse = cho_solve(factor, np.eye(t_s.size), check_finite=False)
+    slot = np.rint((t_s - t_s[0]) / MEAN_S).astype(np.int64)
+    lags = np.abs(np.subtract.outer(slot, slot))
+    lag_s = np.arange(slot[-1] + 1) * MEAN_S  # the covariance depends on the lag only
+    shares = [_covariance_of_10_s_means_and_slope(m, lag_s) for m in memory]
+    by_lag = np.sum([v * s for v, (s, _) in zip(variance, shares, strict=True)], axis=0)
+    by_lag += _LEVEL_STD_MPS**2
+    by_lag[0] += _INSTRUMENT_VARIANCE_M2PS2
+    factor, _ = cho_factor(by_lag[lags], lower=True, overwrite_a=True, check_finite=False)
+    (potri,) = get_lapack_funcs(("potri",), (factor,))
+    lower, _ = potri(factor, lower=1)
+    inverse = np.tril(lower) + np.tril(lower, -1).T
     weighed = inverse @ wind_deviations_ne_mps
     axes = wind_deviations_ne_mps.shape[1]
-    half_log_det = float(np.log(np.diag(factor[0])).sum())
+    half_log_det = float(np.log(np.diag(factor)).sum())
     value = -0.5 * float((wind_deviations_ne_mps * weighed).sum())
     value -= axes * (half_log_det + 0.5 * t_s.size * math.log(2.0 * math.pi))
     likelihood_gradient = 0.5 * (weighed @ weighed.T - axes * inverse)
-    slope = [
-        float((likelihood_gradient * v * gradient).sum())
-        for v, (_, gradient) in zip(variance, shares, strict=True)
-    ]
-    slope += [float((likelihood_gradient * e).sum()) for e in each]
+    gradient_by_lag = np.bincount(lags.ravel(), likelihood_gradient.ravel())
+    slope = [v * float(gradient_by_lag @ g) for v, (_, g) in zip(variance, shares, strict=True)]
+    slope += [v * float(gradient_by_lag @ s) for v, (s, _) in zip(variance, shares, strict=True)]
     return value, np.array(slope)
 
 
