@@ -250,7 +250,7 @@ def _wind_process_toml(
         f"name = {_quote_toml_string(process.name)}",
         f"memory_s = [{', '.join(f'{m:.4g}' for m in process.memory_s)}] # [fit]",
         f"variance_m2ps2 = [{', '.join(f'{v:.4g}' for v in process.variance_m2ps2)}] # [fit]",
-        f"reference_wind_mps = {process.reference_wind_mps:.4g} # mean wind of the recordings",
+        f"reference_wind_mps = {process.reference_wind_mps:.4g} # mean wind of the (windiest) site",
         f"least_scale = {process.least_scale:g} # [est] light wind is no steadier than this share",
         f"most_scale = {process.most_scale:g}",
         f"level_std_mps = {process.level_std_mps:g} # any wind",
@@ -261,7 +261,7 @@ def _wind_process_toml(
     if process.independent_returns is not None:
         sites = ", ".join(f"{f:.2f}" for f in fit.site_factors.values())
         lines.append(
-            f"independent_returns = {process.independent_returns:.1f}"
+            f"independent_returns = {process.independent_returns:.3g}"
             f" # the sites' variances differ: {sites}"
         )
     if process.tail_dof is not None:

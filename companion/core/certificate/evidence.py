@@ -57,7 +57,8 @@ class RiskEvidence:
     @property
     def _returns(self) -> float:
         recorded = (self.wind_process.recorded_s or 0.0) / RETURN_S
-        return min(recorded, self.wind_process.independent_returns or recorded)
+        stated = self.wind_process.independent_returns
+        return recorded if stated is None else min(recorded, stated)
 
     @property
     def sources_text(self) -> str:

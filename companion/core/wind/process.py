@@ -76,7 +76,7 @@ class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         if self.recorded_s is not None:
             check_range("recorded_s", self.recorded_s, 1.0, 1e9)
         if self.independent_returns is not None:
-            check_range("independent_returns", self.independent_returns, 0.01, 1e7)
+            check_range("independent_returns", self.independent_returns, 0.0, 1e7)
         if self.tail_dof is not None:
             check_range("tail_dof", self.tail_dof, 3.0, 1000.0)
 

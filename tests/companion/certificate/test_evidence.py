@@ -66,6 +66,8 @@ def test_sites_that_differ_bound_the_wind_of_another_site() -> None:
     five = msgspec.structs.replace(COAST, recorded_s=36000.0, independent_returns=14.0)
     assert RiskEvidence(five).doubt.wind_variance_factor == variance_upper_factor(14.0)
     assert "10.0 h of recorded wind (coast, 14 returns)" in RiskEvidence(five).summary_text
+    unlike = msgspec.structs.replace(five, independent_returns=0.0)
+    assert RiskEvidence(unlike).doubt.wind_variance_factor == MAX_VARIANCE_FACTOR
 
 
 class ScaledWind:
