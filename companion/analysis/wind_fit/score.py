@@ -78,7 +78,7 @@ def score_forecasts(
         kurtosis=float(np.mean(z**4) / np.mean(z**2) ** 2),
         nll=-float(np.mean(_unit_variance_log_density(z, tail_dof) - np.log(std))),
         coverage=tuple(float(np.mean(z <= limit)) for limit in limits),
-        upper99_ratio=float(np.quantile(z, 0.99)) / limits[-1],
+        upper99_ratio=float(np.quantile(z, 0.99)) / limits[COVERAGES.index(0.99)],
     )
 
 

@@ -188,6 +188,13 @@ def test_samples_with_a_tail_have_the_stated_variance_and_students_quantiles() -
     assert np.quantile(drawn, 0.995) == pytest.approx(expected, rel=0.03)
 
 
+def test_errors_as_stated_score_as_stated() -> None:
+    errors = np.random.default_rng(9).standard_normal((200_000, 4))
+    score = score_forecasts("drawn", 60.0, (errors, np.ones_like(errors)))
+    assert score.coverage == pytest.approx((0.9, 0.98, 0.99, 0.999), abs=1e-3)
+    assert score.upper99_ratio == pytest.approx(1.0, abs=0.01)
+
+
 def test_the_tail_that_is_fitted_is_that_of_the_errors() -> None:
     random = np.random.default_rng(6)
     heavy = random.standard_t(5.0, 24_000)
