@@ -173,7 +173,7 @@ def _print_remaining_orders_and_exit_if_any(desk: "Desk") -> None:
 
     remaining = desk.undelivered_orders()
     if not remaining:
-        typer.echo("every order is delivered or cancelled")
+        typer.echo("every order is closed")
         return
     table = plain_table("order", "state", "reason", title="not delivered")
     for row in remaining:

@@ -23,12 +23,12 @@ from ground_station.app.desk.site.site_monitor import SiteMonitor
 from ground_station.app.desk.site.wind_publisher import WindPublisher
 from ground_station.core.fleet.fleet_status import FLIGHT_PHASE_NAMES, VehicleStatus
 from ground_station.core.fleet.launch_evidence import is_launch_over, window_of
+from ground_station.core.schema.order_states import CLOSED
 from ground_station.core.schema.orders import (
     IN_FORCE,
     AssignmentRow,
     AssignmentState,
     OrderRow,
-    OrderState,
 )
 
 MAX_CYCLE_INTERVAL_S = 0.5
@@ -266,9 +266,8 @@ class Desk:
         return self.exchange.clock.monotonic_s() - self.last_progress_s > idle_s
 
     def undelivered_orders(self) -> list[OrderRow]:
-        """Return the orders that are neither delivered nor cancelled."""
-        done = (OrderState.DELIVERED, OrderState.CANCELLED)
-        return [row for row in self.store.orders() if row.state not in done]
+        """Return the orders that are not closed."""
+        return [row for row in self.store.orders() if row.state not in CLOSED]
 
     def undelivered_reason(self, row: OrderRow) -> str:
         """Return the reason why an order is not delivered, as far as it is recorded."""

@@ -127,12 +127,20 @@ def add_orders(store: Store, orders: list[Order], by: str) -> CommandReport:
 
 
 def cancel_order(
-    store: Store, epoch_us: EpochUs, order_id: str, by: str, reason: str
+    store: Store,
+    epoch_us: EpochUs,
+    order_id: str,
+    by: str,
+    reason: str,
+    *,
+    to_sender: bool = False,
 ) -> CommandReport:
-    """Cancel an order; withdraws it on the ground. LeewayError if its state does not permit it."""
-    return CommandReport(
-        [order_changes.cancel_order(store.database, epoch_us, order_id, by, reason)]
-    )
+    """Cancel an order, or return it to its sender; withdraws it on the ground. LeewayError if its
+    state does not permit it.
+    """
+    state = OrderState.RETURNED if to_sender else OrderState.CANCELLED
+    text = order_changes.cancel_order(store.database, epoch_us, order_id, by, reason, state)
+    return CommandReport([text])
 
 
 def change_order(

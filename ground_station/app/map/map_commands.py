@@ -164,7 +164,12 @@ class OperatorCommands:
                     )
                 case CancelOrder():
                     return operator_commands.cancel_order(
-                        store, epoch_us, command.order, issuer, command.reason
+                        store,
+                        epoch_us,
+                        command.order,
+                        issuer,
+                        command.reason,
+                        to_sender=command.to_sender,
                     )
                 case SettleOrder():
                     settled = ParcelOutcome(command.settled)

@@ -16,7 +16,13 @@ from ground_station.app.views.terminal import plain_table
 from ground_station.app.views.times import format_date_and_time
 from ground_station.core.schema.order_changes import order_cells
 from ground_station.core.schema.order_window import format_window
-from ground_station.core.schema.orders import IN_FORCE, DeliveryProof, OrderRow, OrderState
+from ground_station.core.schema.orders import (
+    IN_FORCE,
+    DeliveryProof,
+    OrderRow,
+    OrderState,
+    count_attempts,
+)
 
 
 def order_record(store: Store, order_id: str) -> dict[str, Any]:
@@ -24,15 +30,16 @@ def order_record(store: Store, order_id: str) -> dict[str, Any]:
     row = next(iter(store.orders_by_id([order_id])), None)
     if row is None:
         raise LeewayError(f"order {order_id}: not known")
-    carrier = [a for a in store.assignments(in_force=True) if a.order_id == order_id]
+    assignments = [a for a in store.assignments() if a.order_id == order_id]
+    carrier = [a for a in assignments if a.state in IN_FORCE]
     proof = delivery_proofs(store.database, order_id).get(order_id)
     return {
         "format": "order/1",
         **msgspec.to_builtins(row.order),
         "state": shown_state(row, proof).value,
         "why": row.reason,
-        "attempts": row.attempts,
-        "vehicle": carrier[0].vehicle if carrier and carrier[0].state in IN_FORCE else None,
+        "attempts": count_attempts(assignments).get(order_id, 0),
+        "vehicle": carrier[0].vehicle if carrier else None,
         "proof": None if proof is None else msgspec.to_builtins(proof),
         "history": msgspec.to_builtins(read_order_history(store.database, order_id)),
     }
@@ -47,7 +54,8 @@ def shown_state(row: OrderRow, proof: DeliveryProof | None) -> OrderState:
 def order_list(store: Store, state: OrderState | None) -> tuple[Table, Counter[str]]:
     """Return the orders, or those in this state, as a table, and their number by state."""
     proofs, counts, now_us = delivery_proofs(store.database), Counter[str](), epoch_us()
-    table = plain_table("order", "kg", "service", "window", "state", "flights", "reason")
+    table = plain_table("order", "kg", "service", "window", "state", "attempts", "reason")
+    attempts = count_attempts(store.assignments())
     for row in store.orders():
         order, shown = row.order, shown_state(row, proofs.get(row.order.id))
         if state in (None, shown):
@@ -55,7 +63,7 @@ def order_list(store: Store, state: OrderState | None) -> tuple[Table, Counter[s
             priority = "urgent" if order.is_urgent else ""
             window = f"{priority} {format_window(order.window, now_us)}".strip()
             cells = (order.id, f"{order.mass_kg:g}", order.service.value, window, shown.value)
-            table.add_row(*cells, str(row.attempts), row.reason)
+            table.add_row(*cells, str(attempts.get(order.id, 0)), row.reason)
     return table, counts
 
 

@@ -231,7 +231,7 @@ def _launch_item(launch: LaunchFacts, limits: AttentionLimits) -> AttentionItem:
 
 
 def _stuck_item(order: str, reason: str) -> AttentionItem:
-    actions = tuple(f"settle {end}" for end in ("delivered", "lost", "back"))
+    actions = *(f"settle {end}" for end in ("delivered", "lost", "back")), "return"
     text = f"{reason}. Where is the parcel?"
     return AttentionItem(
         f"stuck {order}", Level.YOUR_TURN, order, f"{order} is stuck", text, (*actions, "show")

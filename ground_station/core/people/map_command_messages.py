@@ -73,10 +73,13 @@ class ChangeOrder(_WebCommand, frozen=True, kw_only=True, tag="change"):
 
 
 class CancelOrder(_WebCommand, frozen=True, kw_only=True, tag="cancel"):
-    """Cancel an order that is not in the air; on the ground its assignment is withdrawn."""
+    """Cancel an order that is not in the air; on the ground its assignment is withdrawn.
+    `to_sender`: its parcel goes back to the sender.
+    """
 
     order: Name
     reason: Reason
+    to_sender: bool = False
 
 
 OrderCommand = AddOrder | ImportOrders | ChangeOrder | CancelOrder

@@ -1,5 +1,7 @@
 """Orders, assignments and their states, shared by store and desk."""
 
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated
@@ -185,6 +187,12 @@ class AssignmentRow:
     layer: int | None = None
 
 
+def count_attempts(assignments: Iterable[AssignmentRow]) -> dict[str, int]:
+    """Return the number of attempts to deliver each order; one that was withdrawn is none."""
+    ends = (AssignmentState.DELIVERED, AssignmentState.RETURNED, AssignmentState.LOST)
+    return Counter(row.order_id for row in assignments if row.state in ends)
+
+
 @dataclass(frozen=True, slots=True)
 class CommandRow:
     """A command in the outbox: without a response yet, or answered by the instance `instance_id`.
@@ -251,17 +259,17 @@ def order_state_after_assignment(
     assignment_state: AssignmentState,
     delivered: bool,
     attempts: int,
-    is_not_known_home: bool = False,
+    waits_for_person: bool = False,
 ) -> OrderState:
     """Return the state of an order after the end of its assignment.
 
-    A parcel on a lost vehicle, or one not known to be home (`is_not_known_home`: it may have been
-    dropped, or is where a pilot landed it), is not sent again automatically: an operator checks and
-    decides.
+    A parcel on a lost vehicle, or one that `waits_for_person` (it may have been dropped, is where a
+    pilot landed it, or the driver could not deliver it), is not sent again automatically: an
+    operator checks and decides.
     """
     if delivered or assignment_state is AssignmentState.DELIVERED:
         return OrderState.DELIVERED
-    if assignment_state is AssignmentState.LOST or is_not_known_home:
+    if assignment_state is AssignmentState.LOST or waits_for_person:
         return OrderState.STUCK
     if assignment_state is AssignmentState.WITHDRAWN:
         return OrderState.OPEN

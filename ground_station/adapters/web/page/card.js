@@ -5,11 +5,12 @@ import { editForm } from "./forms.js";
 import { truckWords } from "./map.js";
 import { mini } from "./panels.js";
 import { command, me, mayCommand, reasons } from "./people.js";
-import { age, ageOf, clock, fromWords, inTime, isSilent, kindOf, number, ORDER_WORDS, orderKind, phaseWords, seconds, UNKNOWN, wattHours, windowWords } from "./words.js";
+import { age, ageOf, clock, CLOSED, fromWords, inTime, isSilent, kindOf, number, ORDER_WORDS, orderKind, phaseWords, seconds, UNKNOWN, wattHours, windowWords } from "./words.js";
 
 const RISK_DECADES = { from: 1, to: 5 }; // the scale: 1 in 10 to 1 in 100,000
 const HOLD_REASONS = ["Check the drone", "Pad not clear", "Weather", "Other"];
 const CANCEL_REASONS = ["Customer asked", "Not at home", "Cannot be flown today", "Wrong address", "Other"];
+const RETURN_REASONS = ["Not at home", "Pad blocked", "Wrong address", "Customer refused it", "Other"];
 const SETTLE_REASONS = ["Driver has looked", "Customer has confirmed", "Seen at the depot", "Other"];
 const KEYS = [["A", "next item that needs you"], ["Enter", "its card"], ["L", "launch the selected drone, twice"], ["J, K", "next, previous drone"], ["/", "search orders"], ["N", "new order"], ["1 2 3", "map, orders, driver's list"], ["F, C", "show all, centre the selection"], ["+ \u2212 and arrows", "zoom, move"], ["R", "show or hide the reachable area"], ["T", "dark, light or the system's colours"], ["Space", "replay: play, pause"], [", .", "replay: 10 s back, forward"], ["< >", "replay: slower, faster"], ["M", "replay: to the next event"], ["Esc", "close"]];
 
@@ -133,15 +134,15 @@ function orderCard(id, order, picture, { nowUs, asking, record }) {
   const kind = orderKind(order, picture.drones);
   const by = carrierOf(id, order, picture);
   const arrives = arrivalOf(id, order, picture);
-  const isOver = ["delivered", "cancelled", "stuck"].includes(kind);
-  const form = asking?.subject === id && (asking.kind === "cancel" ? cancelForm(id, order) : asking.kind === "settle" ? settleForm(id, asking.settled) : asking.kind === "edit" ? editForm(id, order) : null);
+  const isOver = [...CLOSED, "stuck"].includes(kind);
+  const form = asking?.subject === id && (["cancel", "return"].includes(asking.kind) ? cancelForm(id, asking.kind === "return") : asking.kind === "settle" ? settleForm(id, asking.settled) : asking.kind === "edit" ? editForm(id, order) : null);
   const own = record?.id === id ? record : null;
   return [
     header([order.customer ?? id, order.priority ? html("span", { class: "chip prio" }, "Priority") : null], [order.customer && id, `${order.mass_kg.toFixed(2)} kg`, by ? `by ${by}` : "by no vehicle yet"].filter(Boolean).join(" \u00b7 ")),
-    stepper([["Received", ""], ["Loaded", ""], ["In the air", ""], [kind === "cancelled" ? "Cancelled" : "Delivered", ""]], { open: 0, van: 1, air: 2, stuck: 2, delivered: 4, cancelled: 3 }[kind]),
+    stepper([["Received", ""], ["Loaded", ""], ["In the air", ""], [isOver && kind !== "stuck" ? ORDER_WORDS[kind] : "Delivered", ""]], { open: 0, van: 1, air: 2, stuck: 2, delivered: 4, cancelled: 3, returned: 3 }[kind]),
     html("div", { class: "promise" }, html("h3", {}, isOver ? "State" : "Arrives"), html("p", { class: "big" }, isOver ? ORDER_WORDS[kind] : arrives ? inTime(arrives, nowUs) : NOT_ARRIVING[kind]), order.why && html("p", { class: "muted" }, order.why)),
     proofPart(own?.proof),
-    facts([["Window", windowWords(order, nowUs)], ["Address", order.address], ["Contact", order.phone && html("a", { href: `tel:${order.phone.replaceAll(" ", "")}` }, order.phone)], ["Note", order.note], ["Position", order.at.map((degrees) => degrees.toFixed(5)).join(", ")], ["Confirmed", order.confirmed_by && `launch by ${order.confirmed_by}`], ["Drone", order.vehicle && link(order.vehicle)]]),
+    facts([["Window", windowWords(order, nowUs)], ["Address", order.address], ["Contact", order.phone && html("a", { href: `tel:${order.phone.replaceAll(" ", "")}` }, order.phone)], ["Note", order.note], ["Attempts", own?.attempts && String(own.attempts)], ["Position", order.at.map((degrees) => degrees.toFixed(5)).join(", ")], ["Confirmed", order.confirmed_by && `launch by ${order.confirmed_by}`], ["Drone", order.vehicle && link(order.vehicle)]]),
     form || orderCommands(id, kind),
     own && html("div", { class: "why" }, html("h3", {}, "History"), own.history.map(({ at_us: at, by, text }) => html("p", {}, html("time", {}, seconds(at)), html("span", {}, [by, text].filter(Boolean).join(": "))))),
   ];
@@ -158,14 +159,15 @@ function proofPart(proof) {
 function orderCommands(id, kind) {
   if (!mayCommand()) return null;
   const settle = ["stuck", "van", "air"].includes(kind) && [["delivered", "Delivered\u2026"], ["lost", "Lost\u2026"], ["back", "Came back\u2026"]].map(([end, words]) => button(words, "ask", `settle ${id} ${end}`));
-  const cancel = ["open", "stuck", "van"].includes(kind) && button("Cancel order\u2026", "ask", `cancel ${id}`, { class: "danger quiet" });
+  const cancel = ["open", "stuck", "van"].includes(kind) && [button("To sender\u2026", "ask", `return ${id}`), button("Cancel order\u2026", "ask", `cancel ${id}`, { class: "danger quiet" })];
   const edit = ["open", "stuck", "van", "air"].includes(kind) && button("Edit\u2026", "ask", `edit ${id}`);
   return settle || cancel || edit ? html("footer", {}, edit, settle, cancel) : null;
 }
 
-function cancelForm(id) {
-  return html("form", { class: "form ask", "data-key": `cancel ${id}` }, reasons(`Why is ${id} cancelled?`, CANCEL_REASONS),
-    html("div", { class: "acts" }, command(`Cancel ${id}`, { do: "cancel", order: id }, "danger", true), button("Keep it", "ask", "", { class: "quiet" })));
+function cancelForm(id, toSender) {
+  const [words, choices, name] = toSender ? ["returned to its sender", RETURN_REASONS, `Return ${id} to sender`] : ["cancelled", CANCEL_REASONS, `Cancel ${id}`];
+  return html("form", { class: "form ask", "data-key": name }, reasons(`Why is ${id} ${words}?`, choices),
+    html("div", { class: "acts" }, command(name, { do: "cancel", order: id, ...(toSender && { to_sender: true }) }, "danger", true), button("Keep it", "ask", "", { class: "quiet" })));
 }
 
 function settleForm(id, settled) {

@@ -21,7 +21,7 @@ export function counts({ orders = {}, drones = {} }) {
 export function topBar(picture, { nowUs, link, view, isPast }) {
   const { plan, drones = {}, truck, fleet } = picture;
   const found = counts(picture);
-  const total = Object.values(found).reduce((a, b) => a + b, 0) - (found.cancelled ?? 0);
+  const total = Object.values(found).reduce((a, b) => a + b, 0) - (found.cancelled ?? 0) - (found.returned ?? 0);
   const flying = Object.values(drones).filter(isFlying).length;
   const figure = (name, value, more, kind = "") => html("div", { class: `figure ${kind}` }, html("dt", {}, name), html("dd", {}, value, more && html("small", {}, more)));
   let x = 0;
@@ -81,6 +81,7 @@ function actionButton(act, { who }, order) {
     case "hold": return me.mayOrder && button("Hold\u2026", "ask", `hold ${who}`);
     case "hold_all": return me.mayOrder && button("Hold all\u2026", "select", "all");
     case "settle": return me.mayOrder && button({ delivered: "Delivered\u2026", lost: "Lost\u2026", back: "Came back\u2026" }[subject], "ask", `settle ${who} ${subject}`);
+    case "return": return me.mayOrder && button("To sender\u2026", "ask", `return ${who}`);
     default: return null;
   }
 }
