@@ -154,6 +154,9 @@ class DayTracker:
             drones_on_hold=frozenset(
                 vehicle for vehicle in drones if hold_of_vehicle_or_of_all(rows.hold_list, vehicle)
             ),
+            drones_out_of_service=frozenset(
+                hold.scope for hold in rows.hold_list if hold.is_out_of_service
+            ),
         )
         if self.forecast is not None:
             closed = self.forecast.reason_by_withdrawable_assignment(rows.hold_list)

@@ -15,6 +15,7 @@ from ground_station.adapters.store.launch_store import (
     launches_that_may_start,
 )
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.out_of_service import read_spares
 from ground_station.app.desk.command_authority import CommandAuthority
 from ground_station.app.desk.dispatcher import CycleResult, Dispatcher
 from ground_station.app.desk.exchange import FleetExchange
@@ -40,7 +41,8 @@ class Desk:
     """Desk of one dispatcher over a fleet. `wind`: monitor of the site; None: the wind is not
     monitored, and vehicles receive no wind reports. `authority`: None in a fleet without a roster.
 
-    `members`: drones of the day. `last_progress_s`: time of the last progress.
+    `members`: drones of the day. `last_progress_s`: time of the last progress. `has_new_spare`: a
+    drone has joined the day: open the desk again, with its data.
     """
 
     exchange: FleetExchange
@@ -50,6 +52,8 @@ class Desk:
     members: frozenset[str] = frozenset()
     wind_publisher: WindPublisher | None = field(init=False, default=None)
     last_progress_s: float = field(init=False)
+    has_new_spare: bool = False
+    _spares: dict[str, str] = field(init=False)
     _epoch: str = field(init=False)
     _evidence: RestoreEvidence = field(init=False)
     _last_cycle_s: float | None = None
@@ -62,7 +66,7 @@ class Desk:
         self.last_progress_s = self._start_s = self.exchange.clock.monotonic_s()
         self.exchange.on_state = self._on_state
         self.exchange.earliest_launch_s = lambda: self.dispatcher.earliest_launch_s
-        self._epoch = self.store.epoch()
+        self._epoch, self._spares = self.store.epoch(), read_spares(self.store.database)
         self._evidence = RestoreEvidence(
             self.store, self.members, self.exchange.log, self.exchange.clock.epoch_us
         )
@@ -154,6 +158,7 @@ class Desk:
             self.authority.refuse_unauthorised_launches()
         if self.store.epoch() != self._epoch:  # what this desk knows is of another store
             raise LeewayError("the store was restored while this desk ran: start the desk again")
+        self.has_new_spare = read_spares(self.store.database) != self._spares
         if self._evidence.update(exchange):
             has_new_messages = exchange.changed = True
         if self.wind is not None and self.wind.update_and_report_hold_change(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import local_date
+from ground_station.adapters.store import out_of_service
 from ground_station.adapters.store.audit_steps import MAX_TEXT_LENGTH
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
@@ -67,6 +68,16 @@ def place_holds(
     return CommandReport(
         [found.text for found in store.holds_in_force() if found.scope in scopes], checks
     )
+
+
+def take_out_of_service(
+    store: Store, epoch_us: EpochUs, vehicle: str, reason: str, by: str, spare: str | None
+) -> CommandReport:
+    """Hold a drone and give its order on the ground to another one. `spare`: joins in its place.
+    LeewayError for an invalid name.
+    """
+    done = out_of_service.take_out_of_service(store.database, epoch_us, vehicle, reason, by, spare)
+    return CommandReport(done)
 
 
 def clear_holds(store: Store, epoch_us: EpochUs, scopes: list[str], by: str) -> CommandReport:

@@ -146,6 +146,12 @@ class OperatorCommands:
     ) -> CommandReport:
         with closing(self.open_store()) as store:
             match command:
+                case HoldDrone(vehicle=str(vehicle), is_out=True):
+                    return operator_commands.take_out_of_service(
+                        store, epoch_us, vehicle, command.reason, issuer, command.spare
+                    )
+                case HoldDrone(is_out=True) | HoldDrone(spare=str()):
+                    raise LeewayError("expected a vehicle with out_of_service, and it with spare")
                 case HoldDrone():
                     scopes = operator_commands.hold_scopes_of(command.vehicle)
                     return operator_commands.place_holds(

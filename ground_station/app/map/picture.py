@@ -42,6 +42,10 @@ class DroneShown(_PicturePart, frozen=True, kw_only=True):
     """Course over the last metres of received movement."""
     ground_speed_mps: float | None = None
     received_us: int | None = msgspec.field(default=None, name="heard_us")
+    hold: str = ""
+    """The hold that keeps it on the ground, as text."""
+    in_place_of: str = ""
+    """The drone of the day whose place this spare has."""
     order: str | None = None
     home: str | None = None
     requested_stop: str | None = msgspec.field(default=None, name="asked")

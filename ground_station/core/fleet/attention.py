@@ -94,6 +94,7 @@ class FleetFacts:
     idle_reasons: Mapping[str, str] = field(default_factory=dict)
     late: Mapping[str, str] = field(default_factory=dict)
     held: Collection[str] = ()
+    out_of_service: Mapping[str, str] = field(default_factory=dict)
     desk_silence_s: float | None = None
     desk_alarm: str = ""
     store_error: str = ""
@@ -107,6 +108,7 @@ def attention_items(
     facts: FleetFacts, limits: AttentionLimits, active_keys: Collection[str] = ()
 ) -> list[AttentionItem]:
     """Return the list, by level and then in the order of the causes."""
+    out = facts.out_of_service
     items = [
         *_ground_station_items(facts),
         *(
@@ -118,7 +120,10 @@ def attention_items(
         *(_stuck_item(order, reason) for order, reason in facts.stuck),
         *(_late_item(order, text) for order, text in facts.late.items()),
         *_wind_items(facts.fronts, facts.stations),
-        *_idle_items(facts.idle_reasons, facts.held),
+        *_idle_items(out, facts.held, "is out of service"),
+        *_idle_items(
+            {name: text for name, text in facts.idle_reasons.items() if name not in out}, facts.held
+        ),
     ]
     return sorted(_without_repeated_keys(items), key=lambda item: item.level)
 
@@ -256,10 +261,12 @@ def _wind_items(fronts: Sequence[str], stations: Sequence[str]) -> Iterator[Atte
         yield AttentionItem("stations", Level.CAUTION, FRONT, title, "; ".join(stations), ())
 
 
-def _idle_items(reasons: Mapping[str, str], held: Collection[str]) -> Iterator[AttentionItem]:
+def _idle_items(
+    reasons: Mapping[str, str], held: Collection[str], what: str = "gets no orders"
+) -> Iterator[AttentionItem]:
     for name, reason in reasons.items():
         actions = ("release", "show") if name in held else ("show",)
-        title = f"{name} gets no orders"
+        title = f"{name} {what}"
         yield AttentionItem(
             f"idle {name}", Level.YOUR_TURN, name, title, f"{reason.rstrip('.')}.", actions
         )

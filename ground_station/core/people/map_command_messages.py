@@ -22,10 +22,14 @@ class RecallDrone(_WebCommand, frozen=True, kw_only=True, tag="recall"):
 
 
 class HoldDrone(_WebCommand, frozen=True, kw_only=True, tag="hold"):
-    """Hold one drone or all drones on the ground."""
+    """Hold one drone or all drones on the ground. `is_out`: the drone is out of service; its order
+    on the ground goes to another one. `spare`: a drone that joins in its place.
+    """
 
     reason: Reason
     vehicle: Name | None = None
+    is_out: bool = msgspec.field(default=False, name="out_of_service")
+    spare: Name | None = None
 
 
 class ReleaseDrone(_WebCommand, frozen=True, kw_only=True, tag="release"):

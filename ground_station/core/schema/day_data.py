@@ -1,8 +1,11 @@
 """A day with the contents of its files."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from companion.core.base.geo import LocalFrame, Obstacle, location_to_ground_ned_m
 from companion.core.base.geo_zones import GroundBounds
@@ -39,6 +42,15 @@ class DayData:
     folder: Path = Path()
     imports: tuple[ImportReport, ...] = ()
     start_us: int | None = None
+
+    def with_spares(self, spares: Mapping[str, str]) -> "DayData":
+        """Return the data with spare drones, each like the drone of the day whose place it has."""
+        drones = [*self.day.drones]
+        for name, place in spares.items():
+            drone = self.day.find_drone(place)
+            if drone is not None and self.day.find_drone(name) is None:
+                drones.append(msgspec.structs.replace(drone, id=name))
+        return replace(self, day=msgspec.structs.replace(self.day, drones=drones))
 
     def obstacles_to_avoid(self, frame: LocalFrame) -> tuple[Obstacle, ...]:
         """Return the obstacles that the day's flights must avoid under the day's zone terms."""

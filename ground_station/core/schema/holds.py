@@ -10,6 +10,8 @@ from companion.core.base.wire_message import Name
 
 ALL_DRONES = "*"
 """Scope of a hold of every drone, including later members. No vehicle has this name."""
+OUT_OF_SERVICE = "out of service: "
+"""Prefix of the reason of a hold of a drone that gets no part in any plan."""
 
 
 def raise_if_invalid_vehicle_name(name: str) -> None:
@@ -33,6 +35,11 @@ class Hold:
     def subject(self) -> str:
         """The held drones as text."""
         return "every drone" if self.scope == ALL_DRONES else self.scope
+
+    @property
+    def is_out_of_service(self) -> bool:
+        """Whether its drone is out of service."""
+        return self.reason.startswith(OUT_OF_SERVICE)
 
     @property
     def text(self) -> str:

@@ -91,3 +91,28 @@ def test_a_driver_with_the_enter_key_and_a_desk_that_is_killed_bring_the_day_hom
             if process.stdin is not None:
                 process.stdin.close()
         store.close()
+
+
+def test_a_running_desk_takes_a_spare_into_its_day(tmp_path):
+    url, zenoh = (
+        f"sqlite:///{tmp_path}/desk.db",
+        config_file(tmp_path / "z.json5", listen=free_port()),
+    )
+    desk = start(tmp_path, "dispatch", "harbour", f"--store={url}", f"--zenoh={zenoh}")
+    words = ("hold", "d1", "--reason=motor", "--out-of-service", "--spare=d9", f"--store={url}")
+    log = tmp_path / "dispatch.out"
+
+    def until_dispatching(times: int) -> None:
+        until_s = time.monotonic() + PATIENCE_S
+        while log.read_text().count("dispatching harbour") < times:
+            assert desk.poll() is None, log.read_text()
+            assert time.monotonic() < until_s, log.read_text()
+            time.sleep(0.1)
+
+    try:
+        until_dispatching(1)
+        assert start(tmp_path, *words).wait(PATIENCE_S) == 0
+        until_dispatching(2)
+    finally:
+        desk.kill()
+        desk.wait()

@@ -40,7 +40,7 @@ def change_order(
     A changed destination or mass withdraws an assignment on the ground: the order is then open.
     """
     with database.write() as db:
-        row, assignment, stage = _lock_order(db, order_id)
+        row, assignment, stage = lock_order(db, order_id)
         before = msgspec.json.decode(row.content, type=Order)
         after = changed_order(before)
         fields = changed_fields(before, after)
@@ -73,7 +73,7 @@ def cancel_order(
     as text. Raises LeewayError with the reason of a refusal. Withdraws an assignment on the ground.
     """
     with database.write() as db:
-        _, assignment, stage = _lock_order(db, order_id)
+        _, assignment, stage = lock_order(db, order_id)
         if refusal := cancel_refusal(stage, assignment and assignment.vehicle):
             raise LeewayError(f"order {order_id}: {refusal}")
         values = {"state": state.value, "why": f"{reason}, by {by}", "attempts": 0}
@@ -87,7 +87,7 @@ def cancel_order(
         return f"{order_id}: {state.value}, withdrawn from {assignment.vehicle}"
 
 
-def _lock_order(
+def lock_order(
     db: sa.Connection, order_id: str
 ) -> "tuple[sa.Row, AssignmentRow | None, OrderStage]":
     """Return an order's row, its assignment in force and its stage. LeewayError: not known."""

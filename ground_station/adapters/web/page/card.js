@@ -5,10 +5,12 @@ import { editForm } from "./forms.js";
 import { truckWords } from "./map.js";
 import { mini } from "./panels.js";
 import { command, me, mayCommand, reasons } from "./people.js";
-import { age, ageOf, clock, CLOSED, fromWords, inTime, isSilent, kindOf, number, ORDER_WORDS, orderKind, phaseWords, seconds, UNKNOWN, wattHours, windowWords } from "./words.js";
+import { age, ageOf, clock, CLOSED, fromWords, inTime, isFlying, isSilent, kindOf, number, ORDER_WORDS, orderKind, phaseWords, seconds, UNKNOWN, wattHours, windowWords } from "./words.js";
 
 const RISK_DECADES = { from: 1, to: 5 }; // the scale: 1 in 10 to 1 in 100,000
 const HOLD_REASONS = ["Check the drone", "Pad not clear", "Weather", "Other"];
+const OUT_REASONS = ["Motor or propeller", "Battery", "Autopilot or computer", "Damaged", "Other"];
+const OUT = "out of service: ";
 const CANCEL_REASONS = ["Customer asked", "Not at home", "Cannot be flown today", "Wrong address", "Other"];
 const RETURN_REASONS = ["Not at home", "Pad blocked", "Wrong address", "Customer refused it", "Other"];
 const SETTLE_REASONS = ["Driver has looked", "Customer has confirmed", "Seen at the depot", "Other"];
@@ -50,6 +52,7 @@ function droneCard(name, drone, picture, { nowUs, history, asking, alerts }) {
     energyPart(drone, history),
     facts([
       ["Order", drone.order ? link(drone.order, [drone.order, picture.orders?.[drone.order]?.address].filter(Boolean).join(", ")) : "none"],
+      ["Hold", drone.hold ?? ""], ["In place of", drone.in_place_of ?? ""],
       ["Ends at", drone.diverted_to ?? (drone.asked ? `${drone.home ?? UNKNOWN}; ${drone.asked} requested` : drone.home ?? (drone.order ? "the depot" : ""))],
       ["Height, speed", drone.at ? `${number(drone.height_rel_m, 0, "m")}, ${number(drone.ground_speed_mps, 1, "m/s")}` : UNKNOWN],
       ["Wind there", drone.wind_to_ne_mps ? `${Math.hypot(...drone.wind_to_ne_mps).toFixed(1)} m/s ${fromWords(drone.wind_to_ne_mps)}` : UNKNOWN],
@@ -57,7 +60,7 @@ function droneCard(name, drone, picture, { nowUs, history, asking, alerts }) {
       ["Message", drone.says ?? ""],
     ]),
     html("div", { class: "why" }, html("h3", {}, "Last decision"), drone.why ? html("p", {}, html("time", {}, seconds(drone.why_us)), html("span", { class: "decision" }, drone.why)) : html("p", { class: "muted" }, "No decision on this flight yet")),
-    asking?.kind === "hold" && asking.subject === name ? holdForm(name) : droneCommands(name, drone, picture, silent, alerts.get(name)),
+    ["hold", "out"].includes(asking?.kind) && asking.subject === name ? holdForm(name, asking.kind === "out") : droneCommands(name, drone, picture, silent, alerts.get(name)),
   ];
 }
 
@@ -106,13 +109,16 @@ function droneCommands(name, drone, { holds = [] }, silent, alert) {
   const waits = alert === "your_turn" && drone.order && kindOf(drone) !== "out" && !drone.armed;
   return html("footer", {}, silent && html("p", { class: "muted" }, `A command may not arrive: no contact with ${name}.`),
     waits ? command(`Launch ${name}`, { do: "confirm", order: drone.order }, "primary") : command(`Recall ${name}`, { do: "recall", vehicle: name }, "danger"),
-    holds.includes(name) ? command(`Release ${name}`, { do: "release", vehicle: name }) : button("Hold\u2026", "ask", `hold ${name}`));
+    holds.includes(name) ? command(`Release ${name}`, { do: "release", vehicle: name }) : button("Hold\u2026", "ask", `hold ${name}`),
+    drone.hold?.includes(OUT) || isFlying(drone) ? null : button("Out of service\u2026", "ask", `out ${name}`, { class: "quiet" }));
 }
 
-function holdForm(vehicle) {
+function holdForm(vehicle, isOut) {
   const subject = vehicle ?? "all drones";
-  return html("form", { class: "form ask", "data-key": "hold" }, reasons(`Why is ${subject} held?`, HOLD_REASONS),
-    html("div", { class: "acts" }, command(`Hold ${subject}`, vehicle ? { do: "hold", vehicle } : { do: "hold" }, "danger", true), button("Keep", "ask", "", { class: "quiet" })));
+  const words = isOut ? `Take ${subject} out of service` : `Hold ${subject}`;
+  return html("form", { class: "form ask", "data-key": words }, reasons(`Why is ${subject} ${isOut ? "out of service" : "held"}?`, isOut ? OUT_REASONS : HOLD_REASONS),
+    isOut && html("input", { type: "text", name: "spare", maxlength: 64, autocomplete: "off", "aria-label": "Spare in its place", placeholder: "Spare in its place, if there is one" }),
+    html("div", { class: "acts" }, command(words, { do: "hold", ...(vehicle && { vehicle }), ...(isOut && { out_of_service: true }) }, "danger", true), button("Keep", "ask", "", { class: "quiet" })));
 }
 
 // --- order, truck, all ----------------------------------------------------------------------------

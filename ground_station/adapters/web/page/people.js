@@ -63,6 +63,8 @@ export async function commandClicked(element) {
   if (armed.deed === key && nowMs - armed.ms < APART_MS) return;
   if (element.hasAttribute("data-reason")) {
     deed.reason = reasonOf(element.closest("form"));
+    const spare = element.closest("form").querySelector("[name=spare]")?.value.trim();
+    if (spare) deed.spare = spare;
     if (!deed.reason) return tell(`${words}: give a reason first`, "lost");
   }
   if (armed.deed !== key || nowMs - armed.ms >= ARMED_MS) {
