@@ -31,7 +31,6 @@ from ground_station.app.options.program_options import command_class_with_option
 
 if TYPE_CHECKING:
     from companion.fleet.messages import State
-    from ground_station.adapters.zenoh_fleet import ZenohFleet
     from ground_station.app.desk.desk import Desk
     from ground_station.app.views.certificate_reminder import CertificateReminder
     from ground_station.core.fleet.station_message import StationWind
@@ -101,8 +100,8 @@ def dispatch(
     from msgspec.structs import replace
 
     from ground_station.adapters.files.day_files import read_day_plan
-    from ground_station.adapters.store.out_of_service import read_spares
     from ground_station.app.desk.depot_dispatcher import DepotParams
+    from ground_station.app.desk.desk import data_with_stored_spares
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
     from ground_station.app.views.certificate_reminder import CertificateReminder
     from ground_station.core.people.person import desk_signing_name
@@ -123,24 +122,24 @@ def dispatch(
         )
         network = options.open_fleet_network(data.day.fleet, log_line, data.day.neighbours)
 
-        def open_desk(fleet: "ZenohFleet") -> "Desk":
-            with_spares = data.with_spares(read_spares(order_store.database))
+        def open_desk() -> "Desk":
+            with_spares = data_with_stored_spares(data, order_store)
             if day_plan is not None:
                 return open_truck_desk(
-                    with_spares, day_plan, order_store, fleet, log_line, issuer=by
+                    with_spares, day_plan, order_store, network, log_line, issuer=by
                 )
             assigner = depot_assigner(with_spares)
             infeasible = frozenset(print_infeasible_orders(with_spares, assigner))
             return open_depot_desk(
-                with_spares, order_store, fleet, log_line, params, infeasible, None, assigner
+                with_spares, order_store, network, log_line, params, infeasible, None, assigner
             )
 
         if day_plan is not None and not (assign and launch):
             raise LeewayError("--plan cannot be combined with --no-assign or --no-launch")
-        with closing(network) as fleet:
+        with closing(network):
             reminder = CertificateReminder(network, log_line, epoch_us)
             while True:
-                desk = open_desk(fleet)
+                desk = open_desk()
                 typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops")
                 desk.check_authority_by(network.trust)
                 if options.open_network:

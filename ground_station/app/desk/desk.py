@@ -24,6 +24,7 @@ from ground_station.app.desk.site.site_monitor import SiteMonitor
 from ground_station.app.desk.site.wind_publisher import WindPublisher
 from ground_station.core.fleet.fleet_status import FLIGHT_PHASE_NAMES, VehicleStatus
 from ground_station.core.fleet.launch_evidence import is_launch_over, window_of
+from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.order_states import CLOSED
 from ground_station.core.schema.orders import (
     IN_FORCE,
@@ -282,3 +283,8 @@ class Desk:
             if assignment.order_id == row.order.id and assignment.state in IN_FORCE:
                 return f"{assignment.state.value} with {assignment.vehicle}"
         return self.dispatcher.undelivered_reason(row.order.id) or "no drone was available"
+
+
+def data_with_stored_spares(data: DayData, store: Store) -> DayData:
+    """Return the data of a day with the spare drones that have joined it."""
+    return data.with_spares(read_spares(store.database))
