@@ -192,6 +192,8 @@ class FleetEvent(WireMessage, frozen=True, kw_only=True):
     """With `outcome`: log of the e-value against the vehicle's energy model after this flight."""
     drop_unproven: bool | None = None
     """It is unknown whether the drone still carries the parcel."""
+    fitted_pack: Id | msgspec.UnsetType = msgspec.UNSET
+    """With kind `recovered`: the pack that the driver has fitted, as `companion run --pack`."""
 
 
 class _CommandAction(

@@ -22,6 +22,7 @@ from sqlalchemy.exc import (
 )
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.clock import local_date
 from ground_station.adapters.store import about_steps, audit_steps, tables
 from ground_station.adapters.store.outage import Outage
 from ground_station.core.schema.orders import EPOCH_CHARS, ROOT_CHARS
@@ -250,6 +251,7 @@ def _create_tables(db: sa.Connection) -> None:
     }
     rows = [{"name": name, "value": value} for name, value in about_values.items()]
     db.execute(sa.insert(tables.about), rows)
+    db.execute(sa.insert(tables.days).values(day=local_date().isoformat(), began_us=0))
 
 
 def sqlite_file_path(url: sa.URL) -> Path | None:

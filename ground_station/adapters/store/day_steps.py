@@ -164,6 +164,8 @@ def apply_driver_event(db: sa.Connection, now_us: int, event: FleetEvent) -> Non
         case EventKind.RECOVERED:
             db.execute(sa.update(t.sorties).where(here).values(recovered=True, away=False))
             _complete_withdrawal(db, now_us, row.assignment)
+            if event.fitted_pack:
+                _record_pack(db, now_us, row.assignment, event.fitted_pack)
             if event.delivered is not None:
                 _apply_driver_parcel_check(db, row.assignment, parcel_dropped=event.delivered)
         case _ if row.placed:
@@ -178,6 +180,14 @@ def apply_driver_event(db: sa.Connection, now_us: int, event: FleetEvent) -> Non
                     db, now_us, withheld, AssignmentState.WITHDRAWN, False, reason_text
                 )
             db.execute(sa.update(t.sorties).where(here).values(away=True))
+
+
+def _record_pack(db: sa.Connection, now_us: int, assignment: str, pack: str) -> None:
+    from ground_station.adapters.store.pack_store import record_fitted_pack  # a cycle of imports
+
+    vehicle = sa.select(t.assignments.c.vehicle).where(t.assignments.c.id == assignment)
+    name = db.execute(vehicle).scalar_one()
+    record_fitted_pack(db, now_us, name, pack, TRUCK, takes_from_other=True)
 
 
 def _complete_withdrawal(db: sa.Connection, now_us: int, assignment: str) -> None:

@@ -288,8 +288,8 @@ class DayStore:
             done = db.execute(sa.update(t.sorties).where(*here).values(asked=None))
         return done.rowcount == 1
 
-    def update_sortie_columns(self, assignment: str, **column_values: bool | float) -> None:
-        """Update a sortie. `away`: the truck does not wait for it. `used_wh`: energy used."""
+    def update_sortie_columns(self, assignment: str, **column_values: bool) -> None:
+        """Update a sortie. `away`: the truck does not wait for it."""
         with self._database.write() as db:
             here = t.sorties.c.assignment == assignment
             db.execute(sa.update(t.sorties).where(here).values(**column_values))

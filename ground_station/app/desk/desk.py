@@ -16,8 +16,10 @@ from ground_station.adapters.store.launch_store import (
 )
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.out_of_service import read_spares
+from ground_station.adapters.store.pack_store import record_flight_energy
 from ground_station.app.desk.command_authority import CommandAuthority
 from ground_station.app.desk.dispatcher import CycleResult, Dispatcher
+from ground_station.app.desk.energy_use import EnergyUse
 from ground_station.app.desk.exchange import FleetExchange
 from ground_station.app.desk.restore_evidence import RestoreEvidence
 from ground_station.app.desk.site.site_monitor import SiteMonitor
@@ -54,6 +56,7 @@ class Desk:
     wind_publisher: WindPublisher | None = field(init=False, default=None)
     last_progress_s: float = field(init=False)
     has_new_spare: bool = False
+    _energy: EnergyUse = field(default_factory=EnergyUse)
     _spares: dict[str, str] = field(init=False)
     _epoch: str = field(init=False)
     _evidence: RestoreEvidence = field(init=False)
@@ -87,6 +90,7 @@ class Desk:
         if self.wind is not None:
             self.wind.on_state(state)
         self.dispatcher.on_state(state)
+        self._energy.record_state(state)
 
     @property
     def store(self) -> Store:
@@ -166,8 +170,11 @@ class Desk:
             exchange.status
         ):  # holds precede launches
             has_new_messages = exchange.changed = True
-        for row in self.store.assignments(in_force=True):
+        in_force = self.store.assignments(in_force=True)
+        for row in in_force:
             self._process_assignment_in_force(row)
+        for id_, used_wh in self._energy.pop_finished_wh({row.id for row in in_force}).items():
+            record_flight_energy(self.store.database, exchange.clock.epoch_us(), id_, used_wh)
         match self.dispatcher.run_decision_cycle(
             exchange.status, has_new_messages=has_new_messages
         ):

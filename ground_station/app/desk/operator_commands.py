@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.clock import epoch_us as clock_epoch_us
 from ground_station.adapters.clock import local_date
 from ground_station.adapters.store import out_of_service
 from ground_station.adapters.store.audit_steps import MAX_TEXT_LENGTH
@@ -13,6 +14,7 @@ from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.orders import order_changes
 from ground_station.adapters.store.orders.order_history import delivery_proofs, record_photo
+from ground_station.adapters.store.pack_store import fit_pack
 from ground_station.adapters.store.settle import SETTLED_FROM
 from ground_station.adapters.store.settle import (
     close_order_with_outcome as close_order_with_outcome,
@@ -90,13 +92,28 @@ def clear_holds(store: Store, epoch_us: EpochUs, scopes: list[str], by: str) -> 
     return CommandReport(messages, [f"{name}: no launch hold of its own" for name in names])
 
 
-def record_launch_confirmation(store: Store, order_id: str, by: str) -> CommandReport:
-    """Confirm the launch of the drone with this order. LeewayError gives the reason if refused."""
+def record_launch_confirmation(
+    store: Store,
+    order_id: str,
+    by: str,
+    epoch_us: EpochUs = clock_epoch_us,
+    pack: str | None = None,
+) -> CommandReport:
+    """Confirm the launch of the drone with this order. LeewayError gives the reason if refused.
+    `pack`: fitted to the drone.
+    """
+    checks: list[str] = []
+    if pack is not None:
+        in_force = store.assignments(in_force=True)
+        vehicle = next((row.vehicle for row in in_force if row.order_id == order_id), None)
+        if vehicle is None:
+            raise LeewayError(f"order {order_id}: {_launch_refusal_reason(store, order_id)}")
+        checks = fit_pack(store.database, epoch_us, vehicle, pack, by)
     id_ = store.record_launch_confirmation(order_id, by)
     if id_ is None:
         raise LeewayError(f"order {order_id}: {_launch_refusal_reason(store, order_id)}")
     text = "it launches when the gap after the last launch permits"
-    return CommandReport([f"{order_id}: launch confirmed by {by}; {text}"])
+    return CommandReport([f"{order_id}: launch confirmed by {by}; {text}"], checks)
 
 
 def _launch_refusal_reason(store: Store, order_id: str) -> str:

@@ -162,7 +162,7 @@ class OperatorCommands:
                     return operator_commands.clear_holds(store, epoch_us, scopes, issuer)
                 case ConfirmLaunch():
                     return operator_commands.record_launch_confirmation(
-                        store, command.order, issuer
+                        store, command.order, issuer, epoch_us, command.pack
                     )
                 case ChangeOrder():
                     return operator_commands.change_order(

@@ -120,7 +120,10 @@ class MapView:
         shown = drone_shown(self._drone_snapshot(snapshot, name), snapshot.t_s)
         hold = hold_of_vehicle_or_of_all(rows.hold_list, name)
         return msgspec.structs.replace(
-            shown, hold="" if hold is None else hold.text, in_place_of=rows.spares.get(name, "")
+            shown,
+            hold="" if hold is None else hold.text,
+            in_place_of=rows.spares.get(name, ""),
+            pack=rows.packs.get(name, ""),
         )
 
     def _drone_snapshot(self, snapshot: MapSnapshot, name: str) -> DroneSnapshot:

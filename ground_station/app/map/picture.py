@@ -46,6 +46,8 @@ class DroneShown(_PicturePart, frozen=True, kw_only=True):
     """The hold that keeps it on the ground, as text."""
     in_place_of: str = ""
     """The drone of the day whose place this spare has."""
+    pack: str = ""
+    """The fitted pack, as a person has stated it."""
     order: str | None = None
     home: str | None = None
     requested_stop: str | None = msgspec.field(default=None, name="asked")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.out_of_service import read_spares
+from ground_station.adapters.store.pack_store import pack_by_vehicle
 from ground_station.adapters.store.tables import CONFIRM_KEY, IDLE_KEY, LATE_KEY
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, format_minutes_and_seconds
 from ground_station.core.schema.holds import Hold
@@ -70,6 +71,8 @@ class DisplayRows:
     """Orders that cannot keep their window, with the reason."""
     spares: Mapping[str, str] = field(default_factory=dict)
     """Spare drones, each with the drone whose place it has."""
+    packs: Mapping[str, str] = field(default_factory=dict)
+    """The fitted pack of each drone."""
     launch_requests: Sequence[str] = ()
     """Assignments that wait for a confirmed launch."""
 
@@ -84,7 +87,7 @@ def read_display_rows(store: Store, day: DayStore, now_us: int) -> DisplayRows:
     requests = store.database.about_value(CONFIRM_KEY, list[str]) if plan is None else None
     holds = store.holds_in_force()
     late = store.database.about_value(LATE_KEY, dict[str, str]) or {}
-    spares = read_spares(store.database)
+    spares, packs = read_spares(store.database), pack_by_vehicle(store.database)
     return DisplayRows(
-        assignments, store.orders(), shown, holds, idle or {}, late, spares, requests or []
+        assignments, store.orders(), shown, holds, idle or {}, late, spares, packs, requests or []
     )

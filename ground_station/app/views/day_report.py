@@ -17,6 +17,7 @@ from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.orders.order_history import delivery_proofs
+from ground_station.adapters.store.pack_store import energy_by_pack
 from ground_station.app.views.order_view import proof_text
 from ground_station.app.views.terminal import plain_table
 from ground_station.core.schema.order_states import CLOSED, OrderState
@@ -38,6 +39,13 @@ FIGURE_LABELS = {
     "wh_planned": "planned energy, Wh",
     "wh_used": "used energy, Wh",
 }
+
+
+OTHER_TABLES = (
+    *("format", "deliveries_by_vehicle", "by_vehicle", "packs"),
+    *("proofs", "left", "returned"),
+)
+"""Parts of the report that are not in the table of figures."""
 
 
 def day_report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
@@ -66,6 +74,10 @@ def day_report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
         "monitors": sorted(_monitor_alert_texts(events)),
         "held": [hold.text for hold in store.holds_in_force()],
         "by_vehicle": _flight_statistics_by_vehicle(outcomes),
+        "packs": {
+            pack: {"flights": count, "used_wh": used_wh}
+            for pack, (count, used_wh) in energy_by_pack(store.database).items()
+        },
         "windows": _count_windows(delivered),
         "proofs": [
             {
@@ -204,7 +216,7 @@ def report_tables(report: dict[str, Any]) -> RenderableType:
     """Return the figures as tables."""
     table = plain_table("what", "figure", title="the day")
     for name, value in report.items():
-        if name in ("format", "deliveries_by_vehicle", "by_vehicle", "proofs", "left", "returned"):
+        if name in OTHER_TABLES:
             continue
         if isinstance(value, dict):
             value = ", ".join(f"{n} {key}" for key, n in sorted(value.items())) or "none"
@@ -224,6 +236,10 @@ def report_tables(report: dict[str, Any]) -> RenderableType:
         table,
         _vehicles_table(report["by_vehicle"]),
         *([proofs] if report["proofs"] else []),
+        *(
+            Text(f"pack {pack}: {row['flights']} flights, {row['used_wh']:.0f} Wh")
+            for pack, row in sorted(report["packs"].items())
+        ),
         *_undelivered_lines("to sender", report["returned"]),
         *(_undelivered_lines("left", report["left"]) or [Text("every order is closed")]),
     )

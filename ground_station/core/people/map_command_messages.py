@@ -39,9 +39,10 @@ class ReleaseDrone(_WebCommand, frozen=True, kw_only=True, tag="release"):
 
 
 class ConfirmLaunch(_WebCommand, frozen=True, kw_only=True, tag="confirm"):
-    """Permit one launch of the drone with this order."""
+    """Permit one launch of the drone with this order. `pack`: fitted to it."""
 
     order: Name
+    pack: Name | None = None
 
 
 class SettleOrder(_WebCommand, frozen=True, kw_only=True, tag="settle"):

@@ -7,6 +7,7 @@ import msgspec
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.wire_message import Name
+from companion.fleet.messages import Id
 
 ALL_DRONES = "*"
 """Scope of a hold of every drone, including later members. No vehicle has this name."""
@@ -20,6 +21,14 @@ def raise_if_invalid_vehicle_name(name: str) -> None:
         msgspec.convert(name, Name)
     except msgspec.ValidationError as error:
         raise LeewayError(f"vehicle {name!r}: {error}") from error
+
+
+def raise_if_invalid_pack_name(pack: str) -> None:
+    """Raise LeewayError if this is no valid name of a pack."""
+    try:
+        msgspec.convert(pack, Id)
+    except msgspec.ValidationError as error:
+        raise LeewayError(f"pack {pack!r}: {error}") from error
 
 
 @dataclass(frozen=True, slots=True)

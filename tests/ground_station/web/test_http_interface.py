@@ -59,9 +59,19 @@ def test_every_reply_fits_its_schema(desk: Desk) -> None:
         ({"do": "hold", "vehicle": "d2"}, 400),
         ({"do": "hold", "vehicle": "d2", "reason": "motor", "out_of_service": True}, 200),
         ({"do": "hold", "reason": "motor", "spare": "d9"}, 409),
+        ({"do": "confirm", "order": "nosuch", "pack": "P7"}, 409),
         ({"do": "cancel", "order": "H-105", "reason": "not at home", "to_sender": True}, 200),
     ],
-    ids=["done", "refused", "unknown", "incomplete", "out of service", "no drone", "to sender"],
+    ids=[
+        "done",
+        "refused",
+        "unknown",
+        "incomplete",
+        "out of service",
+        "no drone",
+        "pack",
+        "to sender",
+    ],
 )
 def test_commands_and_their_replies_fit_the_document(desk: Desk, content: dict, status: int):
     desk.site.step()

@@ -52,7 +52,7 @@ function droneCard(name, drone, picture, { nowUs, history, asking, alerts }) {
     energyPart(drone, history),
     facts([
       ["Order", drone.order ? link(drone.order, [drone.order, picture.orders?.[drone.order]?.address].filter(Boolean).join(", ")) : "none"],
-      ["Hold", drone.hold ?? ""], ["In place of", drone.in_place_of ?? ""],
+      ["Hold", drone.hold ?? ""], ["In place of", drone.in_place_of ?? ""], ["Pack", drone.pack ?? ""],
       ["Ends at", drone.diverted_to ?? (drone.asked ? `${drone.home ?? UNKNOWN}; ${drone.asked} requested` : drone.home ?? (drone.order ? "the depot" : ""))],
       ["Height, speed", drone.at ? `${number(drone.height_rel_m, 0, "m")}, ${number(drone.ground_speed_mps, 1, "m/s")}` : UNKNOWN],
       ["Wind there", drone.wind_to_ne_mps ? `${Math.hypot(...drone.wind_to_ne_mps).toFixed(1)} m/s ${fromWords(drone.wind_to_ne_mps)}` : UNKNOWN],
@@ -108,7 +108,7 @@ function droneCommands(name, drone, { holds = [] }, silent, alert) {
   if (!mayCommand()) return null;
   const waits = alert === "your_turn" && drone.order && kindOf(drone) !== "out" && !drone.armed;
   return html("footer", {}, silent && html("p", { class: "muted" }, `A command may not arrive: no contact with ${name}.`),
-    waits ? command(`Launch ${name}`, { do: "confirm", order: drone.order }, "primary") : command(`Recall ${name}`, { do: "recall", vehicle: name }, "danger"),
+    waits ? html("form", { class: "acts", "data-key": "launch" }, html("input", { type: "text", name: "pack", maxlength: 32, size: 8, autocomplete: "off", "aria-label": "Pack fitted", placeholder: "Pack fitted" }), command(`Launch ${name}`, { do: "confirm", order: drone.order }, "primary")) : command(`Recall ${name}`, { do: "recall", vehicle: name }, "danger"),
     holds.includes(name) ? command(`Release ${name}`, { do: "release", vehicle: name }) : button("Hold\u2026", "ask", `hold ${name}`),
     drone.hold?.includes(OUT) || isFlying(drone) ? null : button("Out of service\u2026", "ask", `out ${name}`, { class: "quiet" }));
 }

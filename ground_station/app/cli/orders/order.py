@@ -213,6 +213,9 @@ def cancel(
 @app.command(cls=SIGNED_OPTIONS)
 def launch(
     order_id: OrderId,
+    pack: Annotated[
+        str | None, typer.Option(help="The pack fitted to it, as `companion run --pack`.")
+    ] = None,
 ) -> None:
     """Confirm the launch of the drone that has this order, once.
 
@@ -220,11 +223,14 @@ def launch(
 
     ground-station order launch H-101
     """
+    from ground_station.adapters.clock import epoch_us
     from ground_station.app.desk import operator_commands
 
     with desk_options().operator_and_store() as (by, order_store):
-        result = operator_commands.record_launch_confirmation(order_store, order_id, by)
-    for text in result.messages:
+        result = operator_commands.record_launch_confirmation(
+            order_store, order_id, by, epoch_us, pack
+        )
+    for text in (*result.checks, *result.messages):
         typer.echo(text)
 
 

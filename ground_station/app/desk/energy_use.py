@@ -1,0 +1,25 @@
+"""Energy that flights use, by the states that their drones report."""
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+from companion.fleet.messages import State
+
+
+@dataclass(slots=True)
+class EnergyUse:
+    """First and last reported energy of each flight, until it is taken."""
+
+    _wh: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def record_state(self, state: State) -> None:
+        """Process a state."""
+        id_, left_wh = state.assignment, state.energy_left_wh
+        if state.armed and id_ and left_wh is not None:
+            self._wh[id_] = (self._wh.get(id_, (left_wh, 0.0))[0], left_wh)
+
+    def pop_finished_wh(self, in_force: Collection[str]) -> dict[str, float]:
+        """Return once the energy of each flight whose assignment is not in force."""
+        over = [id_ for id_ in self._wh if id_ not in in_force]
+        pairs = {id_: self._wh.pop(id_) for id_ in over}
+        return {id_: max(0.0, first_wh - last_wh) for id_, (first_wh, last_wh) in pairs.items()}
