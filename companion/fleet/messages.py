@@ -183,9 +183,7 @@ class FleetEvent(WireMessage, frozen=True, kw_only=True):
     outcome: Annotated[str, Meta(pattern=r"^(SUC|DEL|FAIL|ABRT|TAKEN)\Z")] | None = None
     """Closes an assignment: one of SUC, DEL, FAIL, ABRT and TAKEN."""
     delivered: bool | None = None
-    """With `outcome`: the parcel was dropped. With kind `recovered`: false if the driver found it
-    on the drone.
-    """
+    """With `outcome`: dropped. With kind `recovered`: false if the driver found it on the drone."""
     home: bool | None = None
     """With `outcome`: the vehicle landed at home or at a rally point."""
     evidence_nats: float | None = None

@@ -17,6 +17,7 @@ from ground_station.app.cli import (
     doctor,
     estimate,
     ground,
+    handover,
     hold,
     live_map,
     pki,
@@ -116,6 +117,7 @@ app.add_typer(manifest.app)
 app.add_typer(pki.app, name="pki")
 app.add_typer(router.app)
 app.add_typer(hold.app)
+app.add_typer(handover.app)
 app.add_typer(audit.app)
 app.add_typer(store.app, name="store")
 app.add_typer(benchmark.benchmark, name="benchmark")

@@ -16,7 +16,6 @@ from ground_station.adapters.store.launch_store import (
 )
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.out_of_service import read_spares
-from ground_station.adapters.store.pack_store import record_flight_energy
 from ground_station.app.desk.command_authority import CommandAuthority
 from ground_station.app.desk.dispatcher import CycleResult, Dispatcher
 from ground_station.app.desk.energy_use import EnergyUse
@@ -173,8 +172,8 @@ class Desk:
         in_force = self.store.assignments(in_force=True)
         for row in in_force:
             self._process_assignment_in_force(row)
-        for id_, used_wh in self._energy.pop_finished_wh({row.id for row in in_force}).items():
-            record_flight_energy(self.store.database, exchange.clock.epoch_us(), id_, used_wh)
+        ids = {row.id for row in in_force}
+        self._energy.store_finished(self.store.database, exchange.clock.epoch_us(), ids)
         match self.dispatcher.run_decision_cycle(
             exchange.status, has_new_messages=has_new_messages
         ):

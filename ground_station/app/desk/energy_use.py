@@ -4,6 +4,8 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from companion.fleet.messages import State
+from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.pack_store import record_flight_energy
 
 
 @dataclass(slots=True)
@@ -17,6 +19,11 @@ class EnergyUse:
         id_, left_wh = state.assignment, state.energy_left_wh
         if state.armed and id_ and left_wh is not None:
             self._wh[id_] = (self._wh.get(id_, (left_wh, 0.0))[0], left_wh)
+
+    def store_finished(self, database: Database, now_us: int, in_force: Collection[str]) -> None:
+        """Store the energy of flights that are over."""
+        for id_, used_wh in self.pop_finished_wh(in_force).items():
+            record_flight_energy(database, now_us, id_, used_wh)
 
     def pop_finished_wh(self, in_force: Collection[str]) -> dict[str, float]:
         """Return once the energy of each flight whose assignment is not in force."""

@@ -10,6 +10,7 @@ from typing import Any
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us, local_date
 from ground_station.adapters.files.order_files import read_orders
+from ground_station.adapters.store.handover import accept_handover, hand_over
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk import operator_commands
 from ground_station.app.desk.operator_commands import CommandReport
@@ -17,15 +18,18 @@ from ground_station.core.dispatch.depot_assignment import assigner_of_day
 from ground_station.core.feasibility.reach import Feasible
 from ground_station.core.fleet.fleet_link import FleetLink
 from ground_station.core.people.map_command_messages import (
+    AcceptHandover,
     AddOrder,
     CancelOrder,
     ChangeOrder,
     ConfirmLaunch,
+    HandOver,
     HoldDrone,
     ImportOrders,
     RecallDrone,
     ReleaseDrone,
     SettleOrder,
+    ShiftCommand,
     WebCommand,
 )
 from ground_station.core.people.person import DeskOperator
@@ -141,7 +145,13 @@ class OperatorCommands:
 
     def _execute_store_command(
         self,
-        command: HoldDrone | ReleaseDrone | ConfirmLaunch | SettleOrder | ChangeOrder | CancelOrder,
+        command: HoldDrone
+        | ReleaseDrone
+        | ConfirmLaunch
+        | SettleOrder
+        | ChangeOrder
+        | CancelOrder
+        | ShiftCommand,
         issuer: str,
     ) -> CommandReport:
         with closing(self.open_store()) as store:
@@ -177,6 +187,11 @@ class OperatorCommands:
                         command.reason,
                         to_sender=command.to_sender,
                     )
+                case HandOver():
+                    text = hand_over(store.database, epoch_us, issuer, command.note)
+                    return CommandReport([text])
+                case AcceptHandover():
+                    return CommandReport([accept_handover(store.database, epoch_us, issuer)])
                 case SettleOrder():
                     settled = ParcelOutcome(command.settled)
                     return operator_commands.close_order_as_operator(

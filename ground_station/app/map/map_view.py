@@ -75,6 +75,7 @@ class MapView:
                 *snapshot.notes,
                 *_hold_and_confirmation_notes(snapshot.store.rows),
             ],
+            handover=snapshot.store.rows.handover,
             drones=drones,
             truck=truck,
             winds=list(self._displayed_winds(snapshot)),

@@ -7,6 +7,8 @@ from typing import Any
 
 import msgspec
 
+from ground_station.core.schema.holds import Handover
+
 Point = tuple[float, float]
 
 
@@ -223,6 +225,8 @@ class MapPicture(_PicturePart, frozen=True, kw_only=True):
     """Last heartbeat of a desk."""
     notes: list[str] = []
     """Holds, and launches that an operator has confirmed."""
+    handover: Handover | None = None
+    """The latest hand-over of a shift."""
     drones: dict[str, DroneShown] = {}
     truck: TruckShown | None = None
     orders: dict[str, OrderShown] = {}

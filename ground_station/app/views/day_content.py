@@ -4,12 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ground_station.adapters.store.day_store import DayStore
+from ground_station.adapters.store.handover import read_handover
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.out_of_service import read_spares
 from ground_station.adapters.store.pack_store import pack_by_vehicle
 from ground_station.adapters.store.tables import CONFIRM_KEY, IDLE_KEY, LATE_KEY
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, format_minutes_and_seconds
-from ground_station.core.schema.holds import Hold
+from ground_station.core.schema.holds import Handover, Hold
 from ground_station.core.schema.orders import AssignmentRow, OrderRow
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
@@ -73,6 +74,7 @@ class DisplayRows:
     """Spare drones, each with the drone whose place it has."""
     packs: Mapping[str, str] = field(default_factory=dict)
     """The fitted pack of each drone."""
+    handover: Handover | None = None
     launch_requests: Sequence[str] = ()
     """Assignments that wait for a confirmed launch."""
 
@@ -89,5 +91,14 @@ def read_display_rows(store: Store, day: DayStore, now_us: int) -> DisplayRows:
     late = store.database.about_value(LATE_KEY, dict[str, str]) or {}
     spares, packs = read_spares(store.database), pack_by_vehicle(store.database)
     return DisplayRows(
-        assignments, store.orders(), shown, holds, idle or {}, late, spares, packs, requests or []
+        assignments,
+        store.orders(),
+        shown,
+        holds,
+        idle or {},
+        late,
+        spares,
+        packs,
+        read_handover(store.database),
+        requests or [],
     )

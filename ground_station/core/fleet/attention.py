@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from ground_station.core.fleet.risk_words import format_loss
+from ground_station.core.schema.holds import Handover
 
 HYSTERESIS_FRAC = 0.2
 FRONT, STORE, DESK, ROSTER, CERTIFICATES = "wind", "store", "desk", "roster", "certificates"
+HANDOVER = "handover"
 
 
 class Level(IntEnum):
@@ -95,6 +97,7 @@ class FleetFacts:
     late: Mapping[str, str] = field(default_factory=dict)
     held: Collection[str] = ()
     out_of_service: Mapping[str, str] = field(default_factory=dict)
+    handover: Handover | None = None
     desk_silence_s: float | None = None
     desk_alarm: str = ""
     store_error: str = ""
@@ -119,6 +122,7 @@ def attention_items(
         *(_launch_item(launch, limits) for launch in facts.launches),
         *(_stuck_item(order, reason) for order, reason in facts.stuck),
         *(_late_item(order, text) for order, text in facts.late.items()),
+        *_handover_items(facts.handover),
         *_wind_items(facts.fronts, facts.stations),
         *_idle_items(out, facts.held, "is out of service"),
         *_idle_items(
@@ -250,6 +254,16 @@ def _late_item(order: str, text: str) -> AttentionItem:
     return AttentionItem(
         f"late {order}", Level.CAUTION, order, f"{order} {title}", f"{reason}.", actions
     )
+
+
+def _handover_items(handover: Handover | None) -> Iterator[AttentionItem]:
+    if handover is None or handover.accepted_by:
+        return
+    text = "; ".join(f"{note.by}: {note.text}" for note in handover.notes)
+    title, actions = f"{handover.by} has handed over the shift", ("show", "accept")
+    text = f"At {{at}}. {text.rstrip('.')}."
+    times_us = {"at": handover.at_us}
+    yield AttentionItem(HANDOVER, Level.YOUR_TURN, HANDOVER, title, text, actions, times_us)
 
 
 def _wind_items(fronts: Sequence[str], stations: Sequence[str]) -> Iterator[AttentionItem]:

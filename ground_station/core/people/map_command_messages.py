@@ -87,5 +87,24 @@ class CancelOrder(_WebCommand, frozen=True, kw_only=True, tag="cancel"):
     to_sender: bool = False
 
 
+class HandOver(_WebCommand, frozen=True, kw_only=True, tag="hand_over"):
+    """Hand over the shift, with a note for the next dispatcher."""
+
+    note: Reason
+
+
+class AcceptHandover(_WebCommand, frozen=True, kw_only=True, tag="accept"):
+    """Accept the shift that another dispatcher has handed over."""
+
+
 OrderCommand = AddOrder | ImportOrders | ChangeOrder | CancelOrder
-WebCommand = RecallDrone | HoldDrone | ReleaseDrone | ConfirmLaunch | SettleOrder | OrderCommand
+ShiftCommand = HandOver | AcceptHandover
+WebCommand = (
+    RecallDrone
+    | HoldDrone
+    | ReleaseDrone
+    | ConfirmLaunch
+    | SettleOrder
+    | OrderCommand
+    | ShiftCommand
+)

@@ -1,4 +1,6 @@
-"""Holds: vehicles that get no assignment and no launch until an operator releases them."""
+"""Holds: vehicles that get no assignment and no launch until an operator releases them; and the
+hand-over of a shift.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -54,6 +56,24 @@ class Hold:
     def text(self) -> str:
         """The hold as text."""
         return f"{self.subject} is held by {self.by}: {self.reason}"
+
+
+class HandoverNote(msgspec.Struct, frozen=True):
+    """A note for the next dispatcher."""
+
+    at_us: int
+    by: str
+    text: str
+
+
+class Handover(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The latest hand-over of a shift. `accepted_by` empty: the next dispatcher has not read it."""
+
+    by: str
+    at_us: int
+    notes: list[HandoverNote] = []
+    accepted_by: str = ""
+    accepted_us: int = 0
 
 
 def hold_of_vehicle_or_of_all(hold_list: Iterable[Hold], vehicle: str) -> Hold | None:

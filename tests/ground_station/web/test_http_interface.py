@@ -60,6 +60,8 @@ def test_every_reply_fits_its_schema(desk: Desk) -> None:
         ({"do": "hold", "vehicle": "d2", "reason": "motor", "out_of_service": True}, 200),
         ({"do": "hold", "reason": "motor", "spare": "d9"}, 409),
         ({"do": "confirm", "order": "nosuch", "pack": "P7"}, 409),
+        ({"do": "hand_over", "note": "d1: motor"}, 200),
+        ({"do": "accept"}, 409),
         ({"do": "cancel", "order": "H-105", "reason": "not at home", "to_sender": True}, 200),
     ],
     ids=[
@@ -70,6 +72,8 @@ def test_every_reply_fits_its_schema(desk: Desk) -> None:
         "out of service",
         "no drone",
         "pack",
+        "hand over",
+        "nothing to accept",
         "to sender",
     ],
 )

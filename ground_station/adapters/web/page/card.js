@@ -30,6 +30,7 @@ export function cardOf(picture, shared) {
   const { drones = {}, orders = {}, truck } = picture;
   if (selected === "help") return helpCard();
   if (selected === "sign-in" && me.isThere && !me.name) return signInCard();
+  if (selected === "handover") return handoverCard(picture);
   if (selected === "all" && mayCommand()) return allCard(shared);
   if (drones[selected]) return droneCard(selected, drones[selected], picture, shared);
   if (orders[selected]) return orderCard(selected, orders[selected], picture, shared);
@@ -196,6 +197,21 @@ function allCard({ asking }) {
   return [header("All drones", "Two steps each"),
     html("div", { class: "why" }, html("p", {}, "Recall brings every drone in the air home and holds it. Hold keeps every drone on the ground.")),
     asking?.kind === "hold" && !asking.subject ? holdForm(null) : html("footer", {}, command("Recall all", { do: "recall" }, "danger"), button("Hold all\u2026", "ask", "hold"), command("Release all", { do: "release" }))];
+}
+
+// What the next dispatcher has to know: the rest is in the lists.
+function handoverCard(picture) {
+  const { drones = {}, orders = {}, handover, notes = [], attention = [] } = picture;
+  const named = (state) => Object.keys(orders).filter((id) => orders[id].state === state);
+  const part = (title, rows) => rows.length ? html("div", { class: "why" }, html("h3", {}, title), rows.map((words) => html("p", {}, html("span", {}, words)))) : null;
+  const flying = Object.entries(drones).filter(([, drone]) => isFlying(drone)).map(([name, drone]) => [name, phaseWords(drone.phase), drone.order, drone.land_us && `lands ${clock(drone.land_us)}`].filter(Boolean).join(", "));
+  const loaded = named("assigned").filter((id) => !isFlying(drones[orders[id].vehicle] ?? {})).map((id) => `${id} on ${orders[id].vehicle}`);
+  const told = (handover?.notes ?? []).map(({ at_us: at, by, text }) => `${clock(at)} ${by}: ${text}`);
+  const state = !handover ? "No hand-over yet" : handover.accepted_by ? `Accepted by ${handover.accepted_by} at ${clock(handover.accepted_us)}` : `Handed over by ${handover.by} at ${clock(handover.at_us)}, not accepted yet`;
+  return [header("Hand-over", state), part("Notes", told), part("In the air", flying), part("Loaded", loaded), part("Open orders", [named("open").join(", ")].filter(Boolean)),
+    part("Needs the next dispatcher", attention.filter((item) => item.key !== "handover").map((item) => item.title)), part("Holds", notes),
+    mayCommand() && html("form", { class: "form ask", "data-key": "handover" }, html("input", { type: "text", name: "note", maxlength: 200, autocomplete: "off", "aria-label": "Note", placeholder: "What the next dispatcher has to know" }),
+      html("div", { class: "acts" }, command("Hand over", { do: "hand_over" }, "primary"), handover && !handover.accepted_by && handover.by !== me.name ? command("Accept the shift", { do: "accept" }) : null))];
 }
 
 function helpCard() {

@@ -61,7 +61,7 @@ export async function commandClicked(element) {
   const deed = JSON.parse(key);
   if (!canSend(deed) || !mayCommand()) return;
   if (armed.deed === key && nowMs - armed.ms < APART_MS) return;
-  for (const name of ["spare", "pack"]) {
+  for (const name of ["spare", "pack", "note"]) {
     const value = element.closest("form")?.querySelector(`[name=${name}]`)?.value.trim();
     if (value) deed[name] = value;
   }
