@@ -81,6 +81,7 @@ class Database:
         upgrade. `first_epoch`: epoch of a new store; empty: drawn.
         """
         self.shown_url, self.outage = url, None
+        self.day: str | None = None  # a past day, to read; None: the current one
         try:
             self._engine = _create_engine(url, "FULL" if durable else "OFF", lock_timeout_ms)
             self._relaxed_engine = _create_engine(

@@ -9,6 +9,7 @@ from ground_station.adapters.store import audit_steps as audit
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.days import during
 from ground_station.core.schema.holds import raise_if_invalid_pack_name
 
 MIN_CHARGE_S = 1800.0
@@ -91,9 +92,10 @@ def record_flight_energy(database: Database, now_us: int, assignment: str, used_
 
 
 def energy_by_pack(database: Database) -> dict[str, tuple[int, float]]:
-    """Return flights and used energy (Wh) of each pack; `not stated`: of flights without one."""
+    """Return the day's flights and their energy (Wh) by pack; `not stated`: without one."""
     flights = t.flights.c
     query = sa.select(flights.pack, sa.func.count(), sa.func.sum(flights.used_wh))
+    query = query.where(during(flights.ended_us, database.day))
     with database.read() as db:
         found = db.execute(query.group_by(flights.pack)).all()
     return {pack or "not stated": (count, used_wh) for pack, count, used_wh in found}

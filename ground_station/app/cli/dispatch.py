@@ -31,6 +31,7 @@ from ground_station.app.options.program_options import command_class_with_option
 
 if TYPE_CHECKING:
     from companion.fleet.messages import State
+    from ground_station.adapters.store.order_store import Store
     from ground_station.app.desk.desk import Desk
     from ground_station.app.views.certificate_reminder import CertificateReminder
     from ground_station.core.fleet.station_message import StationWind
@@ -86,6 +87,12 @@ def dispatch(
             min=1.0, help="With --until-done: also end after this time without change, s."
         ),
     ] = 300.0,
+    new_day: Annotated[
+        bool,
+        typer.Option(
+            "--new-day", help="Begin today in the store; open orders of its last day go over to it."
+        ),
+    ] = False,
     strict: StrictImport = False,
 ) -> None:
     """Run a day: monitor the fleet, assign orders, authorise launches.
@@ -114,6 +121,7 @@ def dispatch(
     with closing(
         open_store_when_reachable(open_desk_store, echo_with_time_of_day, Event().wait)
     ) as order_store:
+        _begin_day_if_asked(order_store, operator.name, new_day=new_day)
         add_orders_and_print_count(order_store, data.orders, operator.name)
         by = desk_signing_name(operator)
         params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
@@ -150,6 +158,17 @@ def dispatch(
                     break
         if completed:
             _print_remaining_orders_and_exit_if_any(desk)
+
+
+def _begin_day_if_asked(store: "Store", by: str, *, new_day: bool) -> None:
+    from ground_station.adapters.clock import local_date
+    from ground_station.adapters.store.days import begin_day, current_day
+
+    today, day = local_date().isoformat(), current_day(store.database)
+    if new_day:
+        typer.echo(begin_day(store.database, epoch_us, today, by))
+    elif day != today:
+        typer.echo(f"WARNING: day {day} of the store continues; --new-day begins {today}")
 
 
 def _run_desk_until_signal_or_done(
@@ -360,7 +379,7 @@ def recall(
         raise typer.Exit(EXIT_HOLD_FAILED)
 
 
-@app.command(cls=command_class_with_options("store", "store_file"))
+@app.command(cls=command_class_with_options("store", "store_file", "date"))
 def report(
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write the report as JSON.")

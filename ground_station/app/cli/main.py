@@ -32,6 +32,7 @@ from ground_station.app.cli import (
 from ground_station.app.cli.orders import manifest, order, order_changes
 from ground_station.app.options.desk_options import (
     DEFAULT_STORE,
+    Date,
     FleetName,
     IdentityFolder,
     OpenNetwork,
@@ -103,6 +104,7 @@ def program_options(
     zenoh: ZenohFile = None,
     open_network: OpenNetwork = False,
     fleet: FleetName = None,
+    date: Date = None,
 ) -> None:
     """Declare the options that several commands use; they may stand anywhere."""
 

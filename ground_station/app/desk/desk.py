@@ -10,6 +10,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import CommandStatus, State
 from companion.fleet.trust import MemberTrust
+from ground_station.adapters.store.days import current_day
 from ground_station.adapters.store.launch_store import (
     has_reported_flight,
     launches_that_may_start,
@@ -58,6 +59,7 @@ class Desk:
     _energy: EnergyUse = field(default_factory=EnergyUse)
     _spares: dict[str, str] = field(init=False)
     _epoch: str = field(init=False)
+    _day: str = field(init=False)
     _evidence: RestoreEvidence = field(init=False)
     _last_cycle_s: float | None = None
     _next_cycle_s: float = 0.0
@@ -70,6 +72,7 @@ class Desk:
         self.exchange.on_state = self._on_state
         self.exchange.earliest_launch_s = lambda: self.dispatcher.earliest_launch_s
         self._epoch, self._spares = self.store.epoch(), read_spares(self.store.database)
+        self._day = current_day(self.store.database)
         self._evidence = RestoreEvidence(
             self.store, self.members, self.exchange.log, self.exchange.clock.epoch_us
         )
@@ -162,6 +165,8 @@ class Desk:
             self.authority.refuse_unauthorised_launches()
         if self.store.epoch() != self._epoch:  # what this desk knows is of another store
             raise LeewayError("the store was restored while this desk ran: start the desk again")
+        if current_day(self.store.database) != self._day:
+            raise LeewayError("a new day has begun while this desk ran: start the desk again")
         self.has_new_spare = read_spares(self.store.database) != self._spares
         if self._evidence.update(exchange):
             has_new_messages = exchange.changed = True

@@ -148,6 +148,9 @@ def add_orders(store: Store, orders: list[Order], by: str) -> CommandReport:
     if result.conflicts:
         text = ", ".join(result.conflicts)
         raise LeewayError(f"orders {text}: already stored with other content; nothing imported")
+    if result.earlier:
+        text = ", ".join(result.earlier)
+        raise LeewayError(f"orders {text}: of an earlier day, expected new ids; nothing imported")
     known = f", {len(result.known)} imported before" if result.known else ""
     if result.kept:
         known += f", of them {', '.join(result.kept)} changed since by a person: kept as changed"

@@ -15,19 +15,15 @@ from companion.core.base.probability import home_probability_text
 from companion.core.mission.alerts import Alert, is_text_of_any_alert
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.day_store import DayStore
+from ground_station.adapters.store.days import current_day
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.orders.order_history import delivery_proofs
+from ground_station.adapters.store.orders.order_history import attempts_by_order, delivery_proofs
 from ground_station.adapters.store.pack_store import energy_by_pack
 from ground_station.app.views.order_view import proof_text
 from ground_station.app.views.terminal import plain_table
 from ground_station.core.schema.order_states import CLOSED, OrderState
 from ground_station.core.schema.order_window import format_window
-from ground_station.core.schema.orders import (
-    OVERRIDE_OUTCOME,
-    DeliveryProof,
-    OrderRow,
-    count_attempts,
-)
+from ground_station.core.schema.orders import OVERRIDE_OUTCOME, DeliveryProof, OrderRow
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
 FIGURE_LABELS = {
@@ -53,12 +49,17 @@ def day_report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
     orders, assignments = store.orders(), store.assignments()
     commands, events = store.commands(), store.events()
     outcomes = _first_outcome_events(events)
-    proofs, flights = delivery_proofs(store.database), count_attempts(assignments)
-    delivered = [(row, proofs[row.order.id]) for row in orders if row.order.id in proofs]
+    proofs, flights = delivery_proofs(store.database), attempts_by_order(store.database)
+    delivered = [
+        (row, proofs[row.order.id])
+        for row in orders
+        if row.order.id in proofs and row.state is not OrderState.OPEN
+    ]
     margins = [e.margin_wh for e in outcomes if e.margin_wh is not None]
     p_home = [e.p_home for e in events if e.p_home is not None and e.assignment]
     return {
         "format": "day-report/1",
+        "date": store.database.day or current_day(store.database),
         "orders": dict(Counter(row.state.value for row in orders)),
         "assignments": dict(Counter(row.state.value for row in assignments)),
         "outcomes": dict(Counter(e.outcome for e in outcomes if e.outcome)),

@@ -11,18 +11,16 @@ from rich.text import Text
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.orders.order_history import delivery_proofs, read_order_history
+from ground_station.adapters.store.orders.order_history import (
+    attempts_by_order,
+    delivery_proofs,
+    read_order_history,
+)
 from ground_station.app.views.terminal import plain_table
 from ground_station.app.views.times import format_date_and_time
 from ground_station.core.schema.order_changes import order_cells
 from ground_station.core.schema.order_window import format_window
-from ground_station.core.schema.orders import (
-    IN_FORCE,
-    DeliveryProof,
-    OrderRow,
-    OrderState,
-    count_attempts,
-)
+from ground_station.core.schema.orders import DeliveryProof, OrderRow, OrderState
 
 
 def order_record(store: Store, order_id: str) -> dict[str, Any]:
@@ -30,15 +28,14 @@ def order_record(store: Store, order_id: str) -> dict[str, Any]:
     row = next(iter(store.orders_by_id([order_id])), None)
     if row is None:
         raise LeewayError(f"order {order_id}: not known")
-    assignments = [a for a in store.assignments() if a.order_id == order_id]
-    carrier = [a for a in assignments if a.state in IN_FORCE]
+    carrier = [a for a in store.assignments(in_force=True) if a.order_id == order_id]
     proof = delivery_proofs(store.database, order_id).get(order_id)
     return {
         "format": "order/1",
         **msgspec.to_builtins(row.order),
         "state": shown_state(row, proof).value,
         "why": row.reason,
-        "attempts": count_attempts(assignments).get(order_id, 0),
+        "attempts": attempts_by_order(store.database).get(order_id, 0),
         "vehicle": carrier[0].vehicle if carrier else None,
         "proof": None if proof is None else msgspec.to_builtins(proof),
         "history": msgspec.to_builtins(read_order_history(store.database, order_id)),
@@ -55,7 +52,7 @@ def order_list(store: Store, state: OrderState | None) -> tuple[Table, Counter[s
     """Return the orders, or those in this state, as a table, and their number by state."""
     proofs, counts, now_us = delivery_proofs(store.database), Counter[str](), epoch_us()
     table = plain_table("order", "kg", "service", "window", "state", "attempts", "reason")
-    attempts = count_attempts(store.assignments())
+    attempts = attempts_by_order(store.database)
     for row in store.orders():
         order, shown = row.order, shown_state(row, proofs.get(row.order.id))
         if state in (None, shown):

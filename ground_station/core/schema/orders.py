@@ -1,7 +1,5 @@
 """Orders, assignments and their states, shared by store and desk."""
 
-from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated
@@ -185,12 +183,6 @@ class AssignmentRow:
     reason: str
     confirmed_by: str | None = None
     layer: int | None = None
-
-
-def count_attempts(assignments: Iterable[AssignmentRow]) -> dict[str, int]:
-    """Return the number of attempts to deliver each order; one that was withdrawn is none."""
-    ends = (AssignmentState.DELIVERED, AssignmentState.RETURNED, AssignmentState.LOST)
-    return Counter(row.order_id for row in assignments if row.state in ends)
 
 
 @dataclass(frozen=True, slots=True)
