@@ -35,6 +35,24 @@ def current_day(database: Database) -> str:
         return db.execute(_NEWEST_FIRST.limit(1)).scalar_one()
 
 
+def read_spares(database: Database) -> dict[str, str]:
+    """Return the day's spare drones, each with the drone of the day file whose place it has."""
+    return database.about_value(SPARES_KEY, dict[str, str]) or {}
+
+
+def day_and_spares(database: Database) -> tuple[str, dict[str, str]]:
+    """Return the current day, and its spare drones."""
+    return current_day(database), read_spares(database)
+
+
+def has_new_spare(database: Database, before: tuple[str, dict[str, str]]) -> bool:
+    """Return whether a spare drone has joined since `before`. Raises LeewayError for another day."""
+    now = day_and_spares(database)
+    if now[0] != before[0]:
+        raise LeewayError("a new day has begun while this desk ran: start the desk again")
+    return now != before
+
+
 def past_day_or_none(database: Database, day: str) -> str | None:
     """Return this day; None: it is the current one. Raises LeewayError if the store has no such."""
     with database.read() as db:
@@ -50,7 +68,7 @@ def during(column: Any, day: str | None) -> sa.ColumnElement[bool]:
     return begun if day is None else begun & (column < end_us_of(day))
 
 
-def start_us_of(day: str | None) -> "sa.Select[tuple[int]]":
+def start_us_of(day: str | None) -> "sa.Select[int]":
     """Select the start of a day; None: of the current one."""
     if day is None:
         return sa.select(sa.func.max(t.days.c.began_us))

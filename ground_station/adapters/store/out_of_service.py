@@ -22,11 +22,6 @@ from ground_station.core.schema.order_changes import OrderStage
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState
 
 
-def read_spares(database: Database) -> dict[str, str]:
-    """Return the spare drones, each with the drone of the day whose place it has."""
-    return database.about_value(SPARES_KEY, dict[str, str]) or {}
-
-
 def take_out_of_service(
     database: Database,
     epoch_us: Callable[[], int],

@@ -31,7 +31,6 @@ from ground_station.app.options.program_options import command_class_with_option
 
 if TYPE_CHECKING:
     from companion.fleet.messages import State
-    from ground_station.adapters.store.order_store import Store
     from ground_station.app.desk.desk import Desk
     from ground_station.app.views.certificate_reminder import CertificateReminder
     from ground_station.core.fleet.station_message import StationWind
@@ -108,8 +107,11 @@ def dispatch(
 
     from ground_station.adapters.files.day_files import read_day_plan
     from ground_station.app.desk.depot_dispatcher import DepotParams
-    from ground_station.app.desk.desk import data_with_stored_spares
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
+    from ground_station.app.desk.operator_commands import (
+        begin_or_continue_day,
+        data_with_stored_spares,
+    )
     from ground_station.app.views.certificate_reminder import CertificateReminder
     from ground_station.core.people.person import desk_signing_name
 
@@ -121,7 +123,8 @@ def dispatch(
     with closing(
         open_store_when_reachable(open_desk_store, echo_with_time_of_day, Event().wait)
     ) as order_store:
-        _begin_day_if_asked(order_store, operator.name, new_day=new_day)
+        if text := begin_or_continue_day(order_store, operator.name, new_day=new_day):
+            typer.echo(text)
         add_orders_and_print_count(order_store, data.orders, operator.name)
         by = desk_signing_name(operator)
         params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
@@ -158,17 +161,6 @@ def dispatch(
                     break
         if completed:
             _print_remaining_orders_and_exit_if_any(desk)
-
-
-def _begin_day_if_asked(store: "Store", by: str, *, new_day: bool) -> None:
-    from ground_station.adapters.clock import local_date
-    from ground_station.adapters.store.days import begin_day, current_day
-
-    today, day = local_date().isoformat(), current_day(store.database)
-    if new_day:
-        typer.echo(begin_day(store.database, epoch_us, today, by))
-    elif day != today:
-        typer.echo(f"WARNING: day {day} of the store continues; --new-day begins {today}")
 
 
 def _run_desk_until_signal_or_done(

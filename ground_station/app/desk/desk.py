@@ -10,13 +10,12 @@ from companion.core.base.errors import LeewayError
 from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import CommandStatus, State
 from companion.fleet.trust import MemberTrust
-from ground_station.adapters.store.days import current_day
+from ground_station.adapters.store.days import day_and_spares, has_new_spare
 from ground_station.adapters.store.launch_store import (
     has_reported_flight,
     launches_that_may_start,
 )
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.out_of_service import read_spares
 from ground_station.app.desk.command_authority import CommandAuthority
 from ground_station.app.desk.dispatcher import CycleResult, Dispatcher
 from ground_station.app.desk.energy_use import EnergyUse
@@ -26,7 +25,6 @@ from ground_station.app.desk.site.site_monitor import SiteMonitor
 from ground_station.app.desk.site.wind_publisher import WindPublisher
 from ground_station.core.fleet.fleet_status import FLIGHT_PHASE_NAMES, VehicleStatus
 from ground_station.core.fleet.launch_evidence import is_launch_over, window_of
-from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.order_states import CLOSED
 from ground_station.core.schema.orders import (
     IN_FORCE,
@@ -57,9 +55,8 @@ class Desk:
     last_progress_s: float = field(init=False)
     has_new_spare: bool = False
     _energy: EnergyUse = field(default_factory=EnergyUse)
-    _spares: dict[str, str] = field(init=False)
     _epoch: str = field(init=False)
-    _day: str = field(init=False)
+    _day_and_spares: tuple[str, dict[str, str]] = field(init=False)
     _evidence: RestoreEvidence = field(init=False)
     _last_cycle_s: float | None = None
     _next_cycle_s: float = 0.0
@@ -71,8 +68,8 @@ class Desk:
         self.last_progress_s = self._start_s = self.exchange.clock.monotonic_s()
         self.exchange.on_state = self._on_state
         self.exchange.earliest_launch_s = lambda: self.dispatcher.earliest_launch_s
-        self._epoch, self._spares = self.store.epoch(), read_spares(self.store.database)
-        self._day = current_day(self.store.database)
+        self._epoch = self.store.epoch()
+        self._day_and_spares = day_and_spares(self.store.database)
         self._evidence = RestoreEvidence(
             self.store, self.members, self.exchange.log, self.exchange.clock.epoch_us
         )
@@ -165,9 +162,7 @@ class Desk:
             self.authority.refuse_unauthorised_launches()
         if self.store.epoch() != self._epoch:  # what this desk knows is of another store
             raise LeewayError("the store was restored while this desk ran: start the desk again")
-        if current_day(self.store.database) != self._day:
-            raise LeewayError("a new day has begun while this desk ran: start the desk again")
-        self.has_new_spare = read_spares(self.store.database) != self._spares
+        self.has_new_spare = has_new_spare(self.store.database, self._day_and_spares)
         if self._evidence.update(exchange):
             has_new_messages = exchange.changed = True
         if self.wind is not None and self.wind.update_and_report_hold_change(
@@ -177,8 +172,7 @@ class Desk:
         in_force = self.store.assignments(in_force=True)
         for row in in_force:
             self._process_assignment_in_force(row)
-        ids = {row.id for row in in_force}
-        self._energy.store_finished(self.store.database, exchange.clock.epoch_us(), ids)
+        self._energy.store_finished(self.store.database, exchange.clock, in_force)
         match self.dispatcher.run_decision_cycle(
             exchange.status, has_new_messages=has_new_messages
         ):
@@ -294,8 +288,3 @@ class Desk:
             if assignment.order_id == row.order.id and assignment.state in IN_FORCE:
                 return f"{assignment.state.value} with {assignment.vehicle}"
         return self.dispatcher.undelivered_reason(row.order.id) or "no drone was available"
-
-
-def data_with_stored_spares(data: DayData, store: Store) -> DayData:
-    """Return the data of a day with the spare drones that have joined it."""
-    return data.with_spares(read_spares(store.database))

@@ -8,7 +8,7 @@ from pathlib import Path
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us as clock_epoch_us
 from ground_station.adapters.clock import local_date
-from ground_station.adapters.store import out_of_service
+from ground_station.adapters.store import days, out_of_service
 from ground_station.adapters.store.audit_steps import MAX_TEXT_LENGTH
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
@@ -278,3 +278,17 @@ def hold_scopes_of(vehicle: str | None) -> list[str]:
         return [ALL_DRONES]
     raise_if_invalid_vehicle_name(vehicle)
     return [vehicle]
+
+
+def data_with_stored_spares(data: DayData, store: Store) -> DayData:
+    """Return the data of a day with the spare drones that have joined it."""
+    return data.with_spares(days.read_spares(store.database))
+
+
+def begin_or_continue_day(store: Store, by: str, *, new_day: bool) -> str:
+    """Begin today's day if asked; return the result, or a warning for an older day; else empty."""
+    today, day = local_date().isoformat(), days.current_day(store.database)
+    if new_day:
+        return days.begin_day(store.database, clock_epoch_us, today, by)
+    text = f"WARNING: day {day} of the store continues; --new-day begins {today}"
+    return "" if day == today else text

@@ -16,9 +16,9 @@ from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
+from ground_station.adapters.store.days import read_spares
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.out_of_service import read_spares
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.desk.depot_dispatcher import MAX_REFUSED_LAUNCHES, DepotParams
 from ground_station.app.desk.open_desk import open_depot_desk
