@@ -5,7 +5,7 @@ import sqlalchemy as sa
 from ground_station.adapters.store import audit_steps as steps
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
-from ground_station.adapters.store.days import during
+from ground_station.adapters.store.shift.days import during
 from ground_station.core.people.audit_chain import AuditHead, AuditRow
 
 

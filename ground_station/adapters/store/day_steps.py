@@ -16,7 +16,7 @@ from companion.fleet.messages import (
 )
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
-from ground_station.adapters.store.days import during
+from ground_station.adapters.store.shift.days import during
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day_plan import PlannedSortie
 from ground_station.core.schema.orders import (
@@ -186,7 +186,9 @@ def apply_driver_event(db: sa.Connection, now_us: int, event: FleetEvent) -> Non
 
 
 def _record_pack(db: sa.Connection, now_us: int, assignment: str, pack: str) -> None:
-    from ground_station.adapters.store.pack_store import record_fitted_pack  # a cycle of imports
+    from ground_station.adapters.store.shift.pack_store import (
+        record_fitted_pack,  # a cycle of imports
+    )
 
     vehicle = sa.select(t.assignments.c.vehicle).where(t.assignments.c.id == assignment)
     name = db.execute(vehicle).scalar_one()

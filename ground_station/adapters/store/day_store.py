@@ -24,11 +24,11 @@ from companion.fleet.messages import (
     Withdraw,
 )
 from ground_station.adapters.store import day_steps as steps
-from ground_station.adapters.store import days
 from ground_station.adapters.store import hold_steps as holds
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.shift import days
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop

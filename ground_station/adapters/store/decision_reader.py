@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
-from ground_station.adapters.store.days import during
+from ground_station.adapters.store.shift.days import during
 
 MAX_DECISIONS = 5000
 """Maximum decisions per read; a flight makes about ten."""

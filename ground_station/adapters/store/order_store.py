@@ -25,13 +25,14 @@ from companion.fleet.messages import (
 )
 from ground_station.adapters.store import about_steps as about
 from ground_station.adapters.store import audit_steps as audit
-from ground_station.adapters.store import day_steps, days
+from ground_station.adapters.store import day_steps
 from ground_station.adapters.store import hold_steps as holds
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.orders.order_changes import changed_order_ids
 from ground_station.adapters.store.restored import apply_outcome
+from ground_station.adapters.store.shift import days
 from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import (
     IN_FORCE,

@@ -13,11 +13,12 @@ import sqlalchemy as sa
 from companion.core.mission.event_text import DecisionEvent, PhaseEvent
 from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import CommandAction, Drive, EventKind, FleetEvent
-from ground_station.adapters.store import audit_steps, day_steps, days
+from ground_station.adapters.store import audit_steps, day_steps
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.about_steps import about_value
 from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.shift import days
 from ground_station.core.people.audit_chain import AuditRow
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_plan import DayPlan

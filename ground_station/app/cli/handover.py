@@ -28,8 +28,12 @@ def handover(
     ground-station handover --accept --user ben
     """
     from ground_station.adapters.store.day_store import DayStore
-    from ground_station.adapters.store.handover import accept_handover, hand_over, read_handover
     from ground_station.adapters.store.launch_store import last_phases
+    from ground_station.adapters.store.shift.handover import (
+        accept_handover,
+        hand_over,
+        read_handover,
+    )
     from ground_station.app.views.day_content import read_display_rows
     from ground_station.app.views.handover_view import handover_lines
 

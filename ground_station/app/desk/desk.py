@@ -10,12 +10,12 @@ from companion.core.base.errors import LeewayError
 from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import CommandStatus, State
 from companion.fleet.trust import MemberTrust
-from ground_station.adapters.store.days import day_and_spares, has_new_spare
 from ground_station.adapters.store.launch_store import (
     has_reported_flight,
     launches_that_may_start,
 )
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.shift.days import day_and_spares, has_new_spare
 from ground_station.app.desk.command_authority import CommandAuthority
 from ground_station.app.desk.dispatcher import CycleResult, Dispatcher
 from ground_station.app.desk.energy_use import EnergyUse

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from companion.fleet.messages import State
 from ground_station.adapters.store.database import Database
-from ground_station.adapters.store.pack_store import record_flight_energy
+from ground_station.adapters.store.shift.pack_store import record_flight_energy
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.schema.orders import AssignmentRow
 

@@ -8,22 +8,22 @@ from pathlib import Path
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us as clock_epoch_us
 from ground_station.adapters.clock import local_date
-from ground_station.adapters.store import days, out_of_service
 from ground_station.adapters.store.audit_steps import MAX_TEXT_LENGTH
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.orders import order_changes
 from ground_station.adapters.store.orders.order_history import delivery_proofs, record_photo
-from ground_station.adapters.store.pack_store import fit_pack
 from ground_station.adapters.store.settle import SETTLED_FROM
 from ground_station.adapters.store.settle import (
     close_order_with_outcome as close_order_with_outcome,
 )
+from ground_station.adapters.store.shift import days, out_of_service
+from ground_station.adapters.store.shift.pack_store import fit_pack
 from ground_station.app.desk.recall import NoVehicleReceivedError, Recaller
 from ground_station.app.desk.recall import recall_and_hold_vehicles as recall_fleet
 from ground_station.app.desk.recall_record import RecallRecord
 from ground_station.core.fleet.fleet_link import FleetLink
-from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_data import DayData, data_with_spares
 from ground_station.core.schema.holds import (
     ALL_DRONES,
     hold_of_vehicle_or_of_all,
@@ -282,7 +282,7 @@ def hold_scopes_of(vehicle: str | None) -> list[str]:
 
 def data_with_stored_spares(data: DayData, store: Store) -> DayData:
     """Return the data of a day with the spare drones that have joined it."""
-    return data.with_spares(days.read_spares(store.database))
+    return data_with_spares(data, days.read_spares(store.database))
 
 
 def begin_or_continue_day(store: Store, by: str, *, new_day: bool) -> str:

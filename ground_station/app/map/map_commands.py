@@ -10,8 +10,8 @@ from typing import Any
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us, local_date
 from ground_station.adapters.files.order_files import read_orders
-from ground_station.adapters.store.handover import accept_handover, hand_over
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.shift.handover import accept_handover, hand_over
 from ground_station.app.desk import operator_commands
 from ground_station.app.desk.operator_commands import CommandReport
 from ground_station.core.dispatch.depot_assignment import assigner_of_day

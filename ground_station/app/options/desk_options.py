@@ -160,7 +160,7 @@ class DeskOptions:
     def select_date(self, database: "Database") -> None:
         """Read the past day of --date. Raises LeewayError if the store has no such day."""
         if self.date is not None:
-            from ground_station.adapters.store.days import past_day_or_none
+            from ground_station.adapters.store.shift.days import past_day_or_none
 
             database.day = past_day_or_none(database, self.date)
 

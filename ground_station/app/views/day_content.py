@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ground_station.adapters.store.day_store import DayStore
-from ground_station.adapters.store.days import read_spares
-from ground_station.adapters.store.handover import read_handover
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.pack_store import pack_by_vehicle
+from ground_station.adapters.store.shift.days import read_spares
+from ground_station.adapters.store.shift.handover import read_handover
+from ground_station.adapters.store.shift.pack_store import pack_by_vehicle
 from ground_station.adapters.store.tables import CONFIRM_KEY, IDLE_KEY, LATE_KEY
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, format_minutes_and_seconds
 from ground_station.core.schema.holds import Handover, Hold

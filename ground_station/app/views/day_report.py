@@ -15,10 +15,10 @@ from companion.core.base.probability import home_probability_text
 from companion.core.mission.alerts import Alert, is_text_of_any_alert
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.day_store import DayStore
-from ground_station.adapters.store.days import current_day
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.orders.order_history import attempts_by_order, delivery_proofs
-from ground_station.adapters.store.pack_store import energy_by_pack
+from ground_station.adapters.store.shift.days import current_day
+from ground_station.adapters.store.shift.pack_store import energy_by_pack
 from ground_station.app.views.order_view import proof_text
 from ground_station.app.views.terminal import plain_table
 from ground_station.core.schema.order_states import CLOSED, OrderState

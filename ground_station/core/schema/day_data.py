@@ -43,15 +43,6 @@ class DayData:
     imports: tuple[ImportReport, ...] = ()
     start_us: int | None = None
 
-    def with_spares(self, spares: Mapping[str, str]) -> "DayData":
-        """Return the data with spare drones, each like the drone of the day whose place it has."""
-        drones = [*self.day.drones]
-        for name, place in spares.items():
-            drone = self.day.find_drone(place)
-            if drone is not None and self.day.find_drone(name) is None:
-                drones.append(msgspec.structs.replace(drone, id=name))
-        return replace(self, day=msgspec.structs.replace(self.day, drones=drones))
-
     def obstacles_to_avoid(self, frame: LocalFrame) -> tuple[Obstacle, ...]:
         """Return the obstacles that the day's flights must avoid under the day's zone terms."""
         if self.no_fly is None:
@@ -66,3 +57,13 @@ class DayData:
             return self.elevation.bounds_around_m(frame, positions)
         ground = self.day.depot.stated_plane
         return None if ground is None else ground.plane_bounds_m(positions)
+
+
+def data_with_spares(data: DayData, spares: Mapping[str, str]) -> DayData:
+    """Return the data with spare drones, each like the drone of the day whose place it has."""
+    drones = [*data.day.drones]
+    for name, place in spares.items():
+        drone = data.day.find_drone(place)
+        if drone is not None and data.day.find_drone(name) is None:
+            drones.append(msgspec.structs.replace(drone, id=name))
+    return replace(data, day=msgspec.structs.replace(data.day, drones=drones))

@@ -16,15 +16,16 @@ from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
-from ground_station.adapters.store.days import read_spares
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.shift.days import read_spares
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.desk.depot_dispatcher import MAX_REFUSED_LAUNCHES, DepotParams
 from ground_station.app.desk.open_desk import open_depot_desk
 from ground_station.app.desk.operator_commands import cancel_order, take_out_of_service
 from ground_station.app.views.day_content import read_display_rows
 from ground_station.app.views.watch_view import watch_view
+from ground_station.core.schema.day_data import data_with_spares
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderState
 from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 
@@ -79,7 +80,7 @@ class Ground:
         self.store = Store(Database(f"sqlite:///{folder}/desk.db"), lambda: 1)
         self._fleet = ZenohFleet(FLEET, config)
         given = DepotParams(**({"launch_gap_s": 0.0} | params))
-        day = DAY.with_spares(read_spares(self.store.database))
+        day = data_with_spares(DAY, read_spares(self.store.database))
         self.desk = open_depot_desk(day, self.store, self._fleet, self.said.append, given)
         self.desk.start_dispatching()
 

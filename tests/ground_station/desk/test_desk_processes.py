@@ -12,8 +12,8 @@ import pytest
 from ground_station.adapters.files.day_files import write_day_plan
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
-from ground_station.adapters.store.days import begin_day
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.shift.days import begin_day
 from ground_station.core.schema.orders import OrderState
 from tests.fleet.zenoh_net import config_file, free_port
 from tests.ground_station.hand_made_day import PLAN, stop

@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.store.audit_store import read_audit_rows_and_head
 from ground_station.adapters.store.day_store import DayStore
-from ground_station.adapters.store.days import begin_day, current_day, past_day_or_none
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.past_store import PastStore
+from ground_station.adapters.store.shift.days import begin_day, current_day, past_day_or_none
 from ground_station.app.cli.main import app
 from ground_station.app.desk.operator_commands import add_orders, cancel_order
 from ground_station.app.views.day_report import day_report_of

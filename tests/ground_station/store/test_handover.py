@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 from companion.core.base.errors import LeewayError
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.audit_store import read_audit_rows_and_head
-from ground_station.adapters.store.handover import accept_handover, hand_over, read_handover
 from ground_station.adapters.store.hold_store import HoldStore
+from ground_station.adapters.store.shift.handover import accept_handover, hand_over, read_handover
 from ground_station.app.cli.main import app
 from ground_station.core.fleet.attention import AttentionLimits, FleetFacts, attention_items
 from tests.ground_station.store.test_order_store import an_order, an_outcome, flown, opened

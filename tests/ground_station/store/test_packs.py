@@ -6,7 +6,7 @@ from companion.core.base.errors import LeewayError
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.audit_store import read_audit_rows_and_head
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.pack_store import (
+from ground_station.adapters.store.shift.pack_store import (
     fit_pack,
     pack_by_vehicle,
     record_flight_energy,

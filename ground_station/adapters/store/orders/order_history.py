@@ -8,10 +8,10 @@ import sqlalchemy as sa
 from companion.core.mission.event_text import DELIVERED, DecisionEvent
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store import audit_steps as audit
-from ground_station.adapters.store import days
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.orders.order_changes import CHANGE, PROOF
+from ground_station.adapters.store.shift import days
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.order_states import ParcelOutcome
 from ground_station.core.schema.orders import AssignmentState, DeliveryProof, HistoryEntry

@@ -46,7 +46,7 @@ def day_and_spares(database: Database) -> tuple[str, dict[str, str]]:
 
 
 def has_new_spare(database: Database, before: tuple[str, dict[str, str]]) -> bool:
-    """Return whether a spare drone has joined since `before`. Raises LeewayError for another day."""
+    """Return whether a spare drone has joined since `before`. LeewayError: another day began."""
     now = day_and_spares(database)
     if now[0] != before[0]:
         raise LeewayError("a new day has begun while this desk ran: start the desk again")

@@ -9,7 +9,7 @@ from ground_station.adapters.store import audit_steps as audit
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
-from ground_station.adapters.store.days import during
+from ground_station.adapters.store.shift.days import during
 from ground_station.core.schema.holds import raise_if_invalid_pack_name
 
 MIN_CHARGE_S = 1800.0

@@ -13,9 +13,9 @@ from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.about_steps import about_value, replace_about_value
 from ground_station.adapters.store.database import Database
-from ground_station.adapters.store.days import SPARES_KEY
 from ground_station.adapters.store.hold_store import void_unsent_launches_and_list_sent
 from ground_station.adapters.store.orders.order_changes import lock_order
+from ground_station.adapters.store.shift.days import SPARES_KEY
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.holds import OUT_OF_SERVICE, raise_if_invalid_vehicle_name
 from ground_station.core.schema.order_changes import OrderStage
