@@ -11,13 +11,13 @@ from ground_station.adapters.clock import local_date
 from ground_station.adapters.store.audit_steps import MAX_TEXT_LENGTH
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.orders import order_changes
+from ground_station.adapters.store.orders import order_changes, out_of_service
 from ground_station.adapters.store.orders.order_history import delivery_proofs, record_photo
 from ground_station.adapters.store.settle import SETTLED_FROM
 from ground_station.adapters.store.settle import (
     close_order_with_outcome as close_order_with_outcome,
 )
-from ground_station.adapters.store.shift import days, out_of_service
+from ground_station.adapters.store.shift import days
 from ground_station.adapters.store.shift.pack_store import fit_pack
 from ground_station.app.desk.recall import NoVehicleReceivedError, Recaller
 from ground_station.app.desk.recall import recall_and_hold_vehicles as recall_fleet

@@ -15,7 +15,7 @@ from ground_station.adapters.store.launch_store import (
     stamp_and_mark_launch_sent,
 )
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.shift.out_of_service import take_out_of_service
+from ground_station.adapters.store.orders.out_of_service import take_out_of_service
 from ground_station.core.schema.holds import ALL_DRONES
 from ground_station.core.schema.orders import AssignmentState, CommandRow
 from tests.ground_station.store.test_order_store import FLIGHT, an_order, opened

@@ -1,1 +1,1 @@
-"""What a dispatcher's shift needs: days, hand-over, packs, and drones out of service."""
+"""What a shift of dispatchers needs: days, hand-over and packs."""
