@@ -183,15 +183,15 @@ class FleetEvent(WireMessage, frozen=True, kw_only=True):
     outcome: Annotated[str, Meta(pattern=r"^(SUC|DEL|FAIL|ABRT|TAKEN)\Z")] | None = None
     """Closes an assignment: one of SUC, DEL, FAIL, ABRT and TAKEN."""
     delivered: bool | None = None
-    """With `outcome`: the parcel was dropped. With kind `recovered`: false if the driver found it
-    on the drone.
-    """
+    """With `outcome`: dropped. With kind `recovered`: false if the driver found it on the drone."""
     home: bool | None = None
     """With `outcome`: the vehicle landed at home or at a rally point."""
     evidence_nats: float | None = None
     """With `outcome`: log of the e-value against the vehicle's energy model after this flight."""
     drop_unproven: bool | None = None
     """It is unknown whether the drone still carries the parcel."""
+    fitted_pack: Id | msgspec.UnsetType = msgspec.UNSET
+    """With kind `recovered`: the pack that the driver has fitted, as `companion run --pack`."""
 
 
 class _CommandAction(

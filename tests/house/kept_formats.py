@@ -45,6 +45,7 @@ from ground_station.adapters.store.check import find_store_faults
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.upgrade import upgrade_schema
 from ground_station.app.truck.truck_member import TruckMember
 from sim_bridge.app.flight.scenario import read_faults
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
@@ -75,9 +76,11 @@ ADDED = {
     *("gnss_alt_m", "gnss_alt_std_m", "pack_resistance", "current_gain"),
     *("yaw_rate_rps", "tilt_rates_rps", "lat_lon_deg", "unanswered", "columns"),
     *("roster", "revoked_since", "recorded_s", "p_home_stated", "required_p_home"),
+    "independent_returns",
     *("p_home_next", "p_home_onward", "p_success_onward", "sites", "p_home_stated_min"),
     *("low_spare_wh", "contact_timeout_s", "customer", "phone", "address", "earliest_us"),
-    *("latest_us", "priority", "service_s"),
+    *("latest_us", "priority", "service_s", "fitted_pack"),
+    *("days", "order_days", "past_plans", "past_visits", "packs", "flights"),
 }
 """Keys that later versions write, too."""
 
@@ -182,8 +185,10 @@ def unpacked(path: Path) -> Path:
 
 def store(path: Path) -> Any:
     url = f"sqlite:///{unpacked(path)}"
+    database = Database(url, create=False, any_schema=True)
+    audit = read_audit_rows_and_head(database)
+    upgrade_schema(database, 0, "later version")
     assert find_store_faults(url) == []
-    database = Database(url, create=False)
     orders, days = Store(database, lambda: 0), DayStore(database, lambda: 0)
     rows = [orders.orders(), orders.assignments(), orders.commands(), orders.events()]
     rows += [
@@ -193,7 +198,7 @@ def store(path: Path) -> Any:
         days.truck_stop_visits(),
         days.day_start_us(),
     ]
-    rows += [*read_audit_rows_and_head(database)]
+    rows += [*audit]
     with database.read() as db:
         names = db.exec_driver_sql("SELECT name FROM sqlite_master WHERE type = 'table'").scalars()
         query = 'SELECT name, type, "notnull", pk FROM pragma_table_info(?)'

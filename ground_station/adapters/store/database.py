@@ -22,6 +22,7 @@ from sqlalchemy.exc import (
 )
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.clock import local_date
 from ground_station.adapters.store import about_steps, audit_steps, tables
 from ground_station.adapters.store.outage import Outage
 from ground_station.core.schema.orders import EPOCH_CHARS, ROOT_CHARS
@@ -80,6 +81,7 @@ class Database:
         upgrade. `first_epoch`: epoch of a new store; empty: drawn.
         """
         self.shown_url, self.outage = url, None
+        self.day: str | None = None  # a past day, to read; None: the current one
         try:
             self._engine = _create_engine(url, "FULL" if durable else "OFF", lock_timeout_ms)
             self._relaxed_engine = _create_engine(
@@ -250,6 +252,7 @@ def _create_tables(db: sa.Connection) -> None:
     }
     rows = [{"name": name, "value": value} for name, value in about_values.items()]
     db.execute(sa.insert(tables.about), rows)
+    db.execute(sa.insert(tables.days).values(day=local_date().isoformat(), began_us=0))
 
 
 def sqlite_file_path(url: sa.URL) -> Path | None:

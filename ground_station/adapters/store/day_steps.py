@@ -16,6 +16,7 @@ from companion.fleet.messages import (
 )
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
+from ground_station.adapters.store.shift.days import during
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day_plan import PlannedSortie
 from ground_station.core.schema.orders import (
@@ -34,8 +35,9 @@ SORTIES = (
 
 
 def read_drive_commands_not_refused(db: sa.Connection) -> list[tuple[Drive, CommandStatus | None]]:
-    """Return the truck's drive commands that it has not refused, oldest first."""
-    query = sa.select(t.commands.c.deed, t.commands.c.answer).where(t.commands.c.id.like("drive-%"))
+    """Return the day's drive commands that the truck has not refused, oldest first."""
+    here = t.commands.c.id.like("drive-%"), during(t.commands.c.made_us, None)
+    query = sa.select(t.commands.c.deed, t.commands.c.answer).where(*here)
     found: list[tuple[Drive, CommandStatus | None]] = []
     for row in db.execute(query.order_by(t.commands.c.n)):
         action = msgspec.json.decode(row.deed, type=CommandAction)
@@ -51,9 +53,10 @@ def last_ordered_truck_stop(db: sa.Connection) -> str | None:
     return drive_commands[-1][0].stop if drive_commands else None
 
 
-def read_sorties_without_responses(db: sa.Connection) -> list[SortieRow]:
-    """Return all sorties, to determine at which stops the truck must wait."""
-    return [sortie_from_database_row(row, ()) for row in db.execute(SORTIES)]
+def read_sorties_without_responses(db: sa.Connection, day: str | None = None) -> list[SortieRow]:
+    """Return the day's sorties, to determine at which stops the truck must wait."""
+    found = db.execute(SORTIES.where(during(t.assignments.c.made_us, day)))
+    return [sortie_from_database_row(row, ()) for row in found]
 
 
 def ordered_and_promised_landing_stops(db: sa.Connection) -> set[str]:
@@ -164,6 +167,8 @@ def apply_driver_event(db: sa.Connection, now_us: int, event: FleetEvent) -> Non
         case EventKind.RECOVERED:
             db.execute(sa.update(t.sorties).where(here).values(recovered=True, away=False))
             _complete_withdrawal(db, now_us, row.assignment)
+            if event.fitted_pack:
+                _record_pack(db, now_us, row.assignment, event.fitted_pack)
             if event.delivered is not None:
                 _apply_driver_parcel_check(db, row.assignment, parcel_dropped=event.delivered)
         case _ if row.placed:
@@ -178,6 +183,16 @@ def apply_driver_event(db: sa.Connection, now_us: int, event: FleetEvent) -> Non
                     db, now_us, withheld, AssignmentState.WITHDRAWN, False, reason_text
                 )
             db.execute(sa.update(t.sorties).where(here).values(away=True))
+
+
+def _record_pack(db: sa.Connection, now_us: int, assignment: str, pack: str) -> None:
+    from ground_station.adapters.store.shift.pack_store import (
+        record_fitted_pack,  # a cycle of imports
+    )
+
+    vehicle = sa.select(t.assignments.c.vehicle).where(t.assignments.c.id == assignment)
+    name = db.execute(vehicle).scalar_one()
+    record_fitted_pack(db, now_us, name, pack, TRUCK, takes_from_other=True)
 
 
 def _complete_withdrawal(db: sa.Connection, now_us: int, assignment: str) -> None:

@@ -28,13 +28,12 @@ from ground_station.adapters.store import hold_steps as holds
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.shift import days
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
 from ground_station.core.schema.orders import AssignmentState
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
-
-DAY_START_KEY = "day_began_us"
 
 
 class DayStore:
@@ -48,7 +47,8 @@ class DayStore:
 
     def active_plan(self) -> DayPlan | None:
         """Return the active plan: the plan of the highest revision."""
-        query = sa.select(t.plans.c.content).order_by(t.plans.c.revision.desc()).limit(1)
+        plans, here = days.plans_of(self._database.day)
+        query = sa.select(plans.c.content).where(here).order_by(plans.c.revision.desc()).limit(1)
         with self._database.read() as db:
             found = db.execute(query).scalar_one_or_none()
         return None if found is None else msgspec.json.decode(found, type=DayPlan)
@@ -60,7 +60,8 @@ class DayStore:
 
     def plans_with_reasons(self) -> list[tuple[DayPlan, str]]:
         """Return all plans of the day, each with its reason."""
-        query = sa.select(t.plans.c.content, t.plans.c.why).order_by(t.plans.c.revision)
+        plans, here = days.plans_of(self._database.day)
+        query = sa.select(plans.c.content, plans.c.why).where(here).order_by(plans.c.revision)
         with self._database.read() as db:
             found = db.execute(query).all()
         return [(msgspec.json.decode(row.content, type=DayPlan), row.why) for row in found]
@@ -102,14 +103,14 @@ class DayStore:
 
     def day_start_us(self) -> int | None:
         """Return the start of the day, by the desk's clock."""
-        return self._database.about_value(DAY_START_KEY, int)
+        return self._database.about_value(days.day_start_key(self._database.day), int)
 
     def start_day_once(self) -> int:
         """Start the day unless it has started; returns the start time."""
         try:
             with self._database.write() as db:
                 db.execute(
-                    sa.insert(t.about).values(name=DAY_START_KEY, value=str(self._epoch_us()))
+                    sa.insert(t.about).values(name=days.DAY_START_KEY, value=str(self._epoch_us()))
                 )
         except IntegrityError:
             pass
@@ -121,7 +122,7 @@ class DayStore:
         """Return the newest time stamp of the day, which the day's time must not precede."""
         stamps = (
             t.visits.c.arrived_us, t.visits.c.left_us, t.sorties.c.launched_us,
-            t.sorties.c.landed_us, t.plans.c.made_us,
+            t.sorties.c.landed_us, t.plans.c.made_us, t.days.c.began_us,
         )  # fmt: skip
         with self._database.read() as db:
             found = [db.execute(sa.select(sa.func.max(stamp))).scalar() for stamp in stamps]
@@ -288,8 +289,8 @@ class DayStore:
             done = db.execute(sa.update(t.sorties).where(*here).values(asked=None))
         return done.rowcount == 1
 
-    def update_sortie_columns(self, assignment: str, **column_values: bool | float) -> None:
-        """Update a sortie. `away`: the truck does not wait for it. `used_wh`: energy used."""
+    def update_sortie_columns(self, assignment: str, **column_values: bool) -> None:
+        """Update a sortie. `away`: the truck does not wait for it."""
         with self._database.write() as db:
             here = t.sorties.c.assignment == assignment
             db.execute(sa.update(t.sorties).where(here).values(**column_values))
@@ -306,13 +307,14 @@ class DayStore:
             db.execute(sa.update(t.commands).where(*unanswered).values(**void))
 
     def sorties(self) -> list[SortieRow]:
-        """Return all sorties from the truck, in the order of their assignment."""
+        """Return the day's sorties from the truck, in the order of their assignment."""
+        of_day = days.during(t.assignments.c.made_us, self._database.day)
         columns = [t.commands.c[one] for one in ("answer", "life", "answered_us", "sent")]
         drive_commands = sa.select(t.commands.c.id, *columns).where(
             sa.or_(*(t.commands.c.id.like(f"%:{word}") for word in ("launch%", "home%", "recover")))
         )
         with self._database.read() as db:
-            found = db.execute(steps.SORTIES).all()
+            found = db.execute(steps.SORTIES.where(of_day)).all()
             responses = db.execute(drive_commands).all()
         return [steps.sortie_from_database_row(row, responses) for row in found]
 
@@ -371,8 +373,9 @@ class DayStore:
 
     def truck_stop_visits(self) -> list[StopTimes]:
         """Return the truck's visits to stops, in order."""
+        visits, here = days.visits_of(self._database.day)
         with self._database.read() as db:
-            found = db.execute(sa.select(t.visits).order_by(t.visits.c.arrived_us)).all()
+            found = db.execute(sa.select(visits).where(here).order_by(visits.c.arrived_us)).all()
         return [StopTimes(row.stop, row.arrived_us, row.left_us) for row in found]
 
     # --- inside a transaction ------------------------------------------------------------------

@@ -8,6 +8,7 @@ import sqlalchemy as sa
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.shift.days import during
 
 MAX_DECISIONS = 5000
 """Maximum decisions per read; a flight makes about ten."""
@@ -35,7 +36,11 @@ class DecisionReader:
         events = t.events
         query = (
             sa.select(events.c.n, events.c.heard_us, events.c.content)
-            .where(events.c.n > self._last_row, events.c.kind == EventKind.DECISION.value)
+            .where(
+                events.c.n > self._last_row,
+                events.c.kind == EventKind.DECISION.value,
+                during(events.c.heard_us, self._database.day),
+            )
             .order_by(events.c.n.desc())
             .limit(MAX_DECISIONS)
         )

@@ -37,16 +37,8 @@ class HoldStore:
             for scope in scopes:
                 steps.insert_hold(db, self._epoch_us(), scope, reason, by)
                 audit.add_entry(db, self._epoch_us(), by, "hold", scope, reason)
-                sent += self._void_unsent_launches_and_list_sent(db, scope)
+                sent += void_unsent_launches_and_list_sent(db, scope)
         return list(dict.fromkeys(sent))
-
-    def _void_unsent_launches_and_list_sent(self, db: sa.Connection, scope: str) -> list[str]:
-        launches = _unanswered_launch_condition(scope)
-        _void_launches(db, launches & t.commands.c.sent.is_(False), "held before it was sent")
-        selection = t.assignments.c.vehicle == scope if scope != ALL_DRONES else sa.true()
-        db.execute(sa.update(t.assignments).where(selection).values(confirmed_by=None))
-        sent = db.execute(sa.select(t.commands.c.assignment).where(launches)).scalars()
-        return [assignment for assignment in sent if assignment is not None]
 
     def void_launch_confirmation(self, assignment: str, reason: str) -> bool:
         """Void an operator's confirmation; False if its launch was ordered meanwhile."""
@@ -83,6 +75,16 @@ class HoldStore:
                 )
                 audit.add_entry(db, self._epoch_us(), by, "release", hold.scope, hold.text)
         return lifted
+
+
+def void_unsent_launches_and_list_sent(db: sa.Connection, scope: str) -> list[str]:
+    """Void unsent launches and confirmations; return the assignments of sent ones."""
+    launches = _unanswered_launch_condition(scope)
+    _void_launches(db, launches & t.commands.c.sent.is_(False), "held before it was sent")
+    selection = t.assignments.c.vehicle == scope if scope != ALL_DRONES else sa.true()
+    db.execute(sa.update(t.assignments).where(selection).values(confirmed_by=None))
+    sent = db.execute(sa.select(t.commands.c.assignment).where(launches)).scalars()
+    return [assignment for assignment in sent if assignment is not None]
 
 
 def _unanswered_launch_condition(scope: str) -> sa.ColumnElement[bool]:

@@ -1,5 +1,7 @@
 """Launches in the store: their validity, and which of them may still start a flight."""
 
+from collections.abc import Collection
+
 import msgspec
 import sqlalchemy as sa
 
@@ -57,6 +59,18 @@ def launches_that_may_start(database: Database, assignment: str) -> list[Command
     with database.read() as db:
         found = db.execute(query.order_by(t.commands.c.n)).all()
     return [rows.command_from_database_row(row) for row in found]
+
+
+def last_phases(database: Database, assignments: Collection[str]) -> dict[str, str]:
+    """Return the last phase that vehicles have reported with these assignments."""
+    here = t.events.c.assignment.in_(assignments), t.events.c.kind == EventKind.PHASE.value
+    query = sa.select(t.events.c.assignment, t.events.c.content).where(*here)
+    with database.read() as db:
+        found = db.execute(query.order_by(t.events.c.n)).all()
+    texts = {
+        row.assignment: msgspec.json.decode(row.content, type=FleetEvent).text for row in found
+    }
+    return {id_: PhaseEvent.parse(text).now for id_, text in texts.items()}
 
 
 def has_reported_flight(database: Database, row: AssignmentRow) -> bool:

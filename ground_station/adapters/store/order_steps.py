@@ -21,6 +21,8 @@ from companion.fleet.messages import (
 from ground_station.adapters.store import about_steps as about
 from ground_station.adapters.store import audit_steps as audit
 from ground_station.adapters.store import tables as t
+from ground_station.core.fleet.truck_state import TRUCK
+from ground_station.core.schema.order_states import CLOSED
 from ground_station.core.schema.orders import (
     IN_FORCE,
     OVERRIDE_OUTCOME,
@@ -33,7 +35,7 @@ from ground_station.core.schema.orders import (
     order_state_after_assignment,
 )
 
-_CLOSED_ORDER_STATES = (OrderState.DELIVERED.value, OrderState.CANCELLED.value)
+_CLOSED_ORDER_STATES = tuple(state.value for state in CLOSED)
 
 
 def lock_dispatch_decisions(db: sa.Connection) -> None:
@@ -224,11 +226,11 @@ def end_assignment(
     delivered: bool,
     reason_text: str,
     *,
-    parcel_not_at_depot: bool = False,
+    waits_for_person: bool = False,
 ) -> None:
     """End an assignment: its order changes state, and its unanswered commands become void.
 
-    `parcel_not_at_depot`: the parcel is not known to be at the depot.
+    `waits_for_person`: a person decides whether it is delivered again.
     """
     db.execute(
         sa.update(t.assignments)
@@ -246,7 +248,7 @@ def end_assignment(
     attempts = db.execute(
         sa.select(t.orders.c.attempts).where(t.orders.c.id == row.order_id)
     ).scalar_one()
-    order = order_state_after_assignment(state, delivered, attempts, parcel_not_at_depot)
+    order = order_state_after_assignment(state, delivered, attempts, waits_for_person)
     db.execute(
         sa.update(t.orders)
         .where(
@@ -285,9 +287,8 @@ def apply_flight_outcome_event(
         f"{event.outcome}: {'drop not proven, look for the parcel; ' * unproven}{event.text}"
     )
     updated = event.outcome == OVERRIDE_OUTCOME
-    end_assignment(
-        db, now_us, row, state, delivered, reason_text, parcel_not_at_depot=unproven or updated
-    )
+    waits = unproven or updated or row.vehicle == TRUCK  # the driver has met no customer
+    end_assignment(db, now_us, row, state, delivered, reason_text, waits_for_person=waits)
     if updated:  # the truck does not wait: the pilot who landed it has it
         here = t.sorties.c.assignment == row.id
         db.execute(sa.update(t.sorties).where(here).values(away=True))

@@ -6,7 +6,7 @@ command again, and the vehicle carries it out once.
 """
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -32,6 +32,7 @@ from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.orders.order_changes import changed_order_ids
 from ground_station.adapters.store.restored import apply_outcome
+from ground_station.adapters.store.shift import days
 from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import (
     IN_FORCE,
@@ -59,13 +60,14 @@ def _decode_order(content: str) -> Order:
 @dataclass(frozen=True, slots=True)
 class IntakeResult:
     """Result of adding orders. `conflicts`: known ids with other content. `kept`: those of `known`
-    that a person has changed since.
+    that a person has changed since. `earlier`: of an earlier day, closed.
     """
 
     added: tuple[str, ...]
     known: tuple[str, ...]
     conflicts: tuple[str, ...]
     kept: tuple[str, ...] = ()
+    earlier: tuple[str, ...] = ()
 
 
 class Store:
@@ -109,6 +111,7 @@ class Store:
             )
             existing = {row.id: row.content for row in found}
             changed = changed_order_ids(db) if existing else set[str]()
+            earlier = days.of_earlier_days(db, list(existing))
             new_orders: dict[str, str] = {}
             known: list[str] = []
             kept: list[str] = []
@@ -125,7 +128,7 @@ class Store:
                     known.append(order.id)
                 else:
                     conflicts.append(order.id)
-            if new_orders and not conflicts:
+            if new_orders and not conflicts and not earlier:
                 db.execute(
                     sa.insert(t.orders),
                     [
@@ -140,18 +143,33 @@ class Store:
                         for id_, content in new_orders.items()
                     ],
                 )
+                days.insert_orders_of_current_day(db, list(new_orders))
                 first, more = next(iter(new_orders)), len(new_orders) - 1
                 subject = f"{first} and {more} more" if more else first
                 audit.add_entry(db, self._epoch_us(), by, "take_orders", subject, "taken")
-        added = () if conflicts else tuple(new_orders)
-        return IntakeResult(added, tuple(known), tuple(conflicts), tuple(kept))
+        added = () if conflicts or earlier else tuple(new_orders)
+        return IntakeResult(
+            added, tuple(known), tuple(conflicts), tuple(kept), tuple(sorted(earlier))
+        )
 
     def orders(self, *states: OrderState) -> list[OrderRow]:
-        """Return all orders, or those in these states, in order of arrival."""
-        query = sa.select(t.orders).order_by(t.orders.c.n)
+        """Return the day's orders, or those in these states, in order of arrival. Of a past day,
+        those that were carried over are open.
+        """
+        day = self._database.day
+        query = sa.select(t.orders).where(days.is_order_of(day)).order_by(t.orders.c.n)
         if states:
             query = query.where(t.orders.c.state.in_([state.value for state in states]))
-        return self._read_orders(query)
+        if day is None:
+            return self._read_orders(query)
+        with self._database.read() as db:
+            carried = days.carried_over_from(db, day)
+        return [
+            replace(row, state=OrderState.OPEN, reason="carried over")
+            if row.order.id in carried
+            else row
+            for row in self._read_orders(query)
+        ]
 
     def orders_by_id(self, ids: Collection[str]) -> list[OrderRow]:
         """Return the orders of these ids, in order of arrival, without reading all others."""
@@ -167,7 +185,9 @@ class Store:
         ]
 
     def holds_in_force(self) -> list[Hold]:
-        """Return the holds in force, oldest first."""
+        """Return the holds in force, oldest first; none for a past day."""
+        if self._database.day is not None:
+            return []
         with self._database.read() as db:
             return holds.read_holds_in_force(db)
 
@@ -326,8 +346,9 @@ class Store:
         return self._read_commands(_OUTBOX)
 
     def commands(self) -> list[CommandRow]:
-        """Return all commands, oldest first."""
-        return self._read_commands(sa.select(t.commands))
+        """Return the day's commands, oldest first."""
+        made = days.during(t.commands.c.made_us, self._database.day)
+        return self._read_commands(sa.select(t.commands).where(made))
 
     def cancel_command(self, command_id: str, reason: str) -> bool:
         """Remove a command from the outbox; False if it has a response, or is a sent launch."""
@@ -379,8 +400,11 @@ class Store:
             return {result.id for result in results if self._record_and_apply_response(db, result)}
 
     def assignments(self, *, in_force: bool = False) -> list[AssignmentRow]:
-        """Return all assignments, oldest first; with `in_force` only those that are not over."""
-        return self._read_assignments(_ASSIGNMENTS_IN_FORCE if in_force else _ASSIGNMENTS)
+        """Return the day's assignments, oldest first; with `in_force` those that are not over."""
+        if in_force:
+            return self._read_assignments(_ASSIGNMENTS_IN_FORCE)
+        made = days.during(t.assignments.c.made_us, self._database.day)
+        return self._read_assignments(_ASSIGNMENTS.where(made))
 
     def _read_assignments(self, query: "sa.Select[Any]") -> list[AssignmentRow]:
         with self._database.read() as db:
@@ -419,8 +443,9 @@ class Store:
             return self._read_last_gapless_event_number(db, vehicle, log_id) or 0
 
     def events(self, kind: EventKind | None = None) -> list[FleetEvent]:
-        """Return all events, in the order in which they were received."""
-        query = sa.select(t.events.c.content).order_by(t.events.c.n)
+        """Return the day's events, in the order in which they were received."""
+        received = days.during(t.events.c.heard_us, self._database.day)
+        query = sa.select(t.events.c.content).where(received).order_by(t.events.c.n)
         if kind is not None:
             query = query.where(t.events.c.kind == kind.value)
         with self._database.read() as db:

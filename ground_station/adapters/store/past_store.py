@@ -18,7 +18,7 @@ from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.about_steps import about_value
 from ground_station.adapters.store.database import Database
-from ground_station.adapters.store.day_store import DAY_START_KEY
+from ground_station.adapters.store.shift import days
 from ground_station.core.people.audit_chain import AuditRow
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_plan import DayPlan
@@ -33,6 +33,8 @@ from ground_station.core.schema.orders import (
     order_state_after_assignment,
 )
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
+
+_END_OF_TIME_US = 2**62
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,37 +97,52 @@ class _StateChange:
 
 
 class PastStore:
-    """Complete content of one store, read once."""
+    """Complete content of one day of a store, read once: of the database's past day, else of the
+    current one.
+    """
 
     def __init__(self, database: Database) -> None:
         """Raises StoreError."""
+        day = database.day
         with database.read() as db:
             events = sa.select(t.events.c.heard_us, t.events.c.content).order_by(t.events.c.n)
+            events = events.where(days.during(t.events.c.heard_us, day))
             self.events = [
                 PastEvent(row.heard_us, msgspec.json.decode(row.content, type=FleetEvent))
                 for row in db.execute(events)
             ]
             audit = audit_steps.read_audit_rows(db)
-            self.start_us: int | None = about_value(db, DAY_START_KEY, int)
-            self.plans = _read_past_plans(db)
+            self.start_us: int | None = about_value(db, days.day_start_key(day), int)
+            self.plans = _read_past_plans(db, day)
+            visits, here = days.visits_of(day)
             self.visits = [
                 StopTimes(row.stop, row.arrived_us, row.left_us)
-                for row in db.execute(sa.select(t.visits).order_by(t.visits.c.arrived_us))
+                for row in db.execute(sa.select(visits).where(here).order_by(visits.c.arrived_us))
             ]
-            self._drives = _read_drive_orders(db)
+            self._drives = _read_drive_orders(db, day)
             self._hold_history = [
                 PastHold(Hold(row.scope, row.reason, row.set_by, row.set_us), row.lifted_us)
                 for row in db.execute(sa.select(t.hold_table).order_by(t.hold_table.c.n))
             ]
-            orders = db.execute(sa.select(t.orders).order_by(t.orders.c.n)).all()
-            records = db.execute(sa.select(t.assignments).order_by(t.assignments.c.n)).all()
-            self._sorties = day_steps.read_sorties_without_responses(db)
+            self._began_us: int = db.scalar(days.start_us_of(day)) or 0
+            end_us = _END_OF_TIME_US if day is None else db.scalar(sa.select(days.end_us_of(day)))
+            carried = days.carried_over_from(db, day)
+            of_day = sa.select(t.orders).where(days.is_order_of(day))
+            orders = db.execute(of_day.order_by(t.orders.c.n)).all()
+            made = days.during(t.assignments.c.made_us, day)
+            records = db.execute(
+                sa.select(t.assignments).where(made).order_by(t.assignments.c.n)
+            ).all()
+            self._sorties = day_steps.read_sorties_without_responses(db, day)
         self.assignments = self._timed_assignments(records, audit)
         self._orders = [
             (
                 msgspec.json.decode(row.content, type=Order),
                 _order_state_changes(
-                    row, [a for a in self.assignments if a.row.order_id == row.id], audit
+                    row,
+                    [a for a in self.assignments if a.row.order_id == row.id],
+                    [one for one in audit if one.entry.at_us < (end_us or 0)],
+                    is_final=row.id not in carried,
                 ),
             )
             for row in orders
@@ -162,7 +179,7 @@ class PastStore:
         found += [past_event.received_us for past_event in self.events]
         found += [plan.stored_us for plan in self.plans]
         found += [stamp for a in self.assignments for stamp in (a.created_us, a.ended_us) if stamp]
-        return (min(found), max(found)) if found else None
+        return (max(min(found), self._began_us), max(found)) if found else None
 
     def orders_at(self, t_us: int) -> list[OrderRow]:
         """Return the orders known at this time, in their state then."""
@@ -271,9 +288,15 @@ def _last_change_until(changes: list[_StateChange], t_us: int) -> _StateChange |
 
 
 def _order_state_changes(
-    order_row: sa.Row, assignments: list[PastAssignment], audit: list[AuditRow]
+    order_row: sa.Row,
+    assignments: list[PastAssignment],
+    audit: list[AuditRow],
+    *,
+    is_final: bool,
 ) -> list[_StateChange]:
-    """Return the state changes of an order, oldest first; the last is the store's state."""
+    """Return the state changes of an order, oldest first; `is_final`: the last is the store's
+    state.
+    """
     found = [_StateChange(order_row.taken_us, OrderState.OPEN)]
     for attempt, past in enumerate(assignments, start=1):
         found.append(_StateChange(past.created_us, OrderState.ASSIGNED))
@@ -282,7 +305,8 @@ def _order_state_changes(
             found.append(_StateChange(past.ended_us, state, past.row.reason))
     found += _operator_order_state_changes(order_row.id, audit)
     found.sort(key=lambda change: change.at_us)
-    found[-1] = _StateChange(found[-1].at_us, OrderState(order_row.state), order_row.why)
+    if is_final:
+        found[-1] = _StateChange(found[-1].at_us, OrderState(order_row.state), order_row.why)
     return found
 
 
@@ -299,8 +323,9 @@ def _operator_order_state_changes(order_id: str, audit: list[AuditRow]) -> Itera
             )
 
 
-def _read_past_plans(db: sa.Connection) -> list[PastPlan]:
-    found = db.execute(sa.select(t.plans).order_by(t.plans.c.made_us, t.plans.c.revision))
+def _read_past_plans(db: sa.Connection, day: str | None) -> list[PastPlan]:
+    plans, here = days.plans_of(day)
+    found = db.execute(sa.select(plans).where(here).order_by(plans.c.made_us, plans.c.revision))
     return [
         PastPlan(
             row.made_us,
@@ -311,8 +336,9 @@ def _read_past_plans(db: sa.Connection) -> list[PastPlan]:
     ]
 
 
-def _read_drive_orders(db: sa.Connection) -> list[tuple[int, str]]:
+def _read_drive_orders(db: sa.Connection, day: str | None) -> list[tuple[int, str]]:
     query = sa.select(t.commands.c.made_us, t.commands.c.deed).order_by(t.commands.c.n)
+    query = query.where(days.during(t.commands.c.made_us, day))
     found = (
         (row.made_us, msgspec.json.decode(row.deed, type=CommandAction))
         for row in db.execute(query)

@@ -18,7 +18,10 @@ from ground_station.core.schema.orders import (
     assignment_and_order_state_after_outcome,
 )
 
-SETTLED_FROM = (OrderState.ASSIGNED, OrderState.STUCK, OrderState.CANCELLED)
+SETTLED_FROM = (
+    *(OrderState.ASSIGNED, OrderState.STUCK),
+    *(OrderState.CANCELLED, OrderState.RETURNED),
+)
 
 
 def close_order_with_outcome(

@@ -26,7 +26,7 @@ from sqlalchemy import (
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import IN_FORCE
 
-SCHEMA = 3
+SCHEMA = 4
 """Schema that `migrations` upgrades a store to; the table `about` contains a store's schema."""
 
 ROSTER_KEY = "roster"  # name in `about` of the desk's signed roster
@@ -163,6 +163,69 @@ visits = Table(
     Column("stop", String(64), primary_key=True),
     Column("arrived_us", BigInteger, nullable=False),
     Column("left_us", BigInteger),
+)
+
+days = Table(
+    "days",
+    metadata,
+    Column("day", String(10), primary_key=True),
+    Column("began_us", BigInteger, nullable=False),
+)
+
+order_days = Table(  # an order that is carried over is of several days
+    "order_days",
+    metadata,
+    Column("day", String(10), ForeignKey("days.day"), primary_key=True),
+    Column("order_id", String(64), ForeignKey("orders.id"), primary_key=True),
+)
+
+past_plans = Table(
+    "past_plans",
+    metadata,
+    Column("day", String(10), ForeignKey("days.day"), primary_key=True),
+    Column("revision", Integer, primary_key=True, autoincrement=False),
+    Column("content", Text, nullable=False),
+    Column("why", Text, nullable=False),
+    Column("wind", Text),
+    Column("made_us", BigInteger, nullable=False),
+)
+
+past_visits = Table(
+    "past_visits",
+    metadata,
+    Column("day", String(10), ForeignKey("days.day"), primary_key=True),
+    Column("stop", String(64), primary_key=True),
+    Column("arrived_us", BigInteger, nullable=False),
+    Column("left_us", BigInteger),
+)
+
+packs = Table(
+    "packs",
+    metadata,
+    Column("n", _count, primary_key=True, autoincrement=True),
+    Column("pack", String(64), nullable=False),
+    Column("vehicle", String(32), nullable=False),
+    Column("fitted_us", BigInteger, nullable=False),
+    Column("fitted_by", String(64), nullable=False),
+    Column("removed_us", BigInteger),
+)
+_fitted = text("removed_us IS NULL")
+for _column in (packs.c.pack, packs.c.vehicle):
+    Index(
+        f"one_fitted_per_{_column.name}",
+        _column,
+        unique=True,
+        sqlite_where=_fitted,
+        postgresql_where=_fitted,
+    )
+
+flights = Table(
+    "flights",
+    metadata,
+    Column("assignment", String(64), ForeignKey("assignments.id"), primary_key=True),
+    Column("pack", String(64)),
+    Column("used_wh", Float, nullable=False),
+    Column("ended_us", BigInteger, nullable=False),
 )
 
 hold_table = Table(

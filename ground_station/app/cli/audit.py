@@ -17,7 +17,7 @@ app = typer.Typer()
 EXIT_CHAIN_BROKEN = 3
 
 
-@app.command(cls=command_class_with_options("store", "store_file"))
+@app.command(cls=command_class_with_options("store", "store_file", "date"))
 def audit(
     verify: Annotated[
         bool, typer.Option("--verify", help="Verify that no row was changed or removed.")
@@ -43,7 +43,7 @@ def audit(
     """
     import msgspec
 
-    from ground_station.adapters.store.audit_store import read_audit_rows_and_head
+    from ground_station.adapters.store.audit_store import read_audit_rows_and_head, rows_of_day
     from ground_station.app.views.audit_view import audit_view
     from ground_station.app.views.terminal import plain_console
     from ground_station.core.people.audit_chain import find_chain_faults
@@ -55,13 +55,14 @@ def audit(
 
     with closing(desk_options().open_store()) as order_store:
         rows, head = read_audit_rows_and_head(order_store.database)
+        shown = rows_of_day(order_store.database, rows) if desk_options().date else rows
     if json_file is not None:
         tables = [
-            {"n": row.n, **msgspec.to_builtins(row.entry), "digest": row.digest} for row in rows
+            {"n": row.n, **msgspec.to_builtins(row.entry), "digest": row.digest} for row in shown
         ]
         json_file.write_text(json.dumps({"format": "audit/1", "rows": tables}, indent=1))
     if not verify:
-        plain_console().print(audit_view(rows))
+        plain_console().print(audit_view(shown))
         return
     faults = list(find_chain_faults(rows, head, expect))
     for message in faults:

@@ -86,6 +86,12 @@ def dispatch(
             min=1.0, help="With --until-done: also end after this time without change, s."
         ),
     ] = 300.0,
+    new_day: Annotated[
+        bool,
+        typer.Option(
+            "--new-day", help="Begin today in the store; open orders of its last day go over to it."
+        ),
+    ] = False,
     strict: StrictImport = False,
 ) -> None:
     """Run a day: monitor the fleet, assign orders, authorise launches.
@@ -102,6 +108,10 @@ def dispatch(
     from ground_station.adapters.files.day_files import read_day_plan
     from ground_station.app.desk.depot_dispatcher import DepotParams
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
+    from ground_station.app.desk.operator_commands import (
+        begin_or_continue_day,
+        data_with_stored_spares,
+    )
     from ground_station.app.views.certificate_reminder import CertificateReminder
     from ground_station.core.people.person import desk_signing_name
 
@@ -113,31 +123,42 @@ def dispatch(
     with closing(
         open_store_when_reachable(open_desk_store, echo_with_time_of_day, Event().wait)
     ) as order_store:
+        if text := begin_or_continue_day(order_store, operator.name, new_day=new_day):
+            typer.echo(text)
         add_orders_and_print_count(order_store, data.orders, operator.name)
-        assigner = depot_assigner(data)
-        infeasible = print_infeasible_orders(data, assigner) if day_plan is None else []
         by = desk_signing_name(operator)
         params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
         log_line = (
             _log_line_with_open_network_mark if options.open_network else echo_with_time_of_day
         )
         network = options.open_fleet_network(data.day.fleet, log_line, data.day.neighbours)
-        with closing(network) as fleet:
-            if day_plan is None:
-                infeasible_ids = frozenset(infeasible)
-                desk = open_depot_desk(
-                    data, order_store, fleet, log_line, params, infeasible_ids, None, assigner
+
+        def open_desk() -> "Desk":
+            with_spares = data_with_stored_spares(data, order_store)
+            if day_plan is not None:
+                return open_truck_desk(
+                    with_spares, day_plan, order_store, network, log_line, issuer=by
                 )
-            elif assign and launch:
-                desk = open_truck_desk(data, day_plan, order_store, fleet, log_line, issuer=by)
-            else:
-                raise LeewayError("--plan cannot be combined with --no-assign or --no-launch")
-            typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops")
-            desk.check_authority_by(network.trust)
-            if options.open_network:
-                typer.echo(OPEN_WARNING)
+            assigner = depot_assigner(with_spares)
+            infeasible = frozenset(print_infeasible_orders(with_spares, assigner))
+            return open_depot_desk(
+                with_spares, order_store, network, log_line, params, infeasible, None, assigner
+            )
+
+        if day_plan is not None and not (assign and launch):
+            raise LeewayError("--plan cannot be combined with --no-assign or --no-launch")
+        with closing(network):
             reminder = CertificateReminder(network, log_line, epoch_us)
-            completed = _run_desk_until_signal_or_done(desk, idle if until_done else None, reminder)
+            while True:
+                desk = open_desk()
+                typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops")
+                desk.check_authority_by(network.trust)
+                if options.open_network:
+                    typer.echo(OPEN_WARNING)
+                max_idle_s = idle if until_done else None
+                completed = _run_desk_until_signal_or_done(desk, max_idle_s, reminder)
+                if not desk.has_new_spare:
+                    break
         if completed:
             _print_remaining_orders_and_exit_if_any(desk)
 
@@ -147,14 +168,16 @@ def _run_desk_until_signal_or_done(
     max_idle_s: float | None,
     reminder: "CertificateReminder",
 ) -> bool:
-    """Run the desk until a signal, or with `max_idle_s` until the day is done (returns True)."""
+    """Run the desk until a signal or a new spare, or with `max_idle_s` until the day is done
+    (returns True).
+    """
     from companion.fleet.service_manager import Watchdog
 
     desk.start_dispatching()
     watchdog = Watchdog()
     try:
         with record_stop_signals() as received_signals:
-            while not received_signals:
+            while not (received_signals or desk.has_new_spare):
                 watchdog.notify_systemd_if_due(monotonic_s())
                 reminder.log_expiring_certificates_if_due(monotonic_s())
                 if max_idle_s is not None and (
@@ -173,7 +196,7 @@ def _print_remaining_orders_and_exit_if_any(desk: "Desk") -> None:
 
     remaining = desk.undelivered_orders()
     if not remaining:
-        typer.echo("every order is delivered or cancelled")
+        typer.echo("every order is closed")
         return
     table = plain_table("order", "state", "reason", title="not delivered")
     for row in remaining:
@@ -348,7 +371,7 @@ def recall(
         raise typer.Exit(EXIT_HOLD_FAILED)
 
 
-@app.command(cls=command_class_with_options("store", "store_file"))
+@app.command(cls=command_class_with_options("store", "store_file", "date"))
 def report(
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write the report as JSON.")

@@ -25,18 +25,34 @@ def hold(
     everybody: Annotated[
         bool, typer.Option("--all", help="All drones, including those that join later.")
     ] = False,
+    out_of_service: Annotated[
+        bool,
+        typer.Option("--out-of-service", help="Its order on the ground goes to another drone."),
+    ] = False,
+    spare: Annotated[
+        str | None,
+        typer.Option(help="With --out-of-service: a drone of its airframe joins in its place."),
+    ] = None,
 ) -> None:
     """Place a launch hold: the vehicles get no order and no launch until `ground-station release`.
 
     Airborne vehicles continue; `ground-station recall` returns them and places the launch hold.
 
     ground-station hold d1 --reason "propeller chipped"
+    ground-station hold d1 --reason "motor" --out-of-service --spare d9
     """
     from ground_station.app.desk import operator_commands
 
     scopes = hold_scopes("hold", vehicles, everybody)
+    if (out_of_service and (everybody or len(scopes) != 1)) or (spare and not out_of_service):
+        raise LeewayError("hold: expected one vehicle with --out-of-service, and it with --spare")
     with desk_options().operator_and_store() as (by, order_store):
-        result = operator_commands.place_holds(order_store, epoch_us, scopes, reason, by)
+        if out_of_service:
+            result = operator_commands.take_out_of_service(
+                order_store, epoch_us, scopes[0], reason, by, spare
+            )
+        else:
+            result = operator_commands.place_holds(order_store, epoch_us, scopes, reason, by)
     for message in result.messages:
         typer.echo(message)
     for message in result.checks:

@@ -43,7 +43,7 @@ app = typer.Typer()
 @app.command(
     "map",
     cls=command_class_with_options(
-        "fleet", "store", "store_file", "zenoh", "identity", "open_network"
+        "date", "fleet", "store", "store_file", "zenoh", "identity", "open_network"
     ),
 )
 def show_map(
@@ -115,6 +115,8 @@ def show_map(
     data = None if day is None else read_day_and_warn(day)
     options = desk_options()
     name = options.fleet if data is None else data.day.fleet
+    if options.date is not None and replay is None:
+        raise LeewayError("--date: expected --replay")
     if records is not None and replay is None:
         raise LeewayError("--records: expected --replay")
     if name is None and replay is None:
@@ -197,6 +199,7 @@ def _replay_sources(
     store = None
     if files.store is not None:
         with closing(Database(resolve_store_url(files.store, None), create=False)) as database:
+            desk_options().select_date(database)
             store = PastStore(database)
     view = MapView(
         name or "the past", data, (), basemap is not None, download_outline_if_missing(basemap)

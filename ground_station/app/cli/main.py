@@ -17,6 +17,7 @@ from ground_station.app.cli import (
     doctor,
     estimate,
     ground,
+    handover,
     hold,
     live_map,
     pki,
@@ -31,6 +32,7 @@ from ground_station.app.cli import (
 from ground_station.app.cli.orders import manifest, order, order_changes
 from ground_station.app.options.desk_options import (
     DEFAULT_STORE,
+    Date,
     FleetName,
     IdentityFolder,
     OpenNetwork,
@@ -102,6 +104,7 @@ def program_options(
     zenoh: ZenohFile = None,
     open_network: OpenNetwork = False,
     fleet: FleetName = None,
+    date: Date = None,
 ) -> None:
     """Declare the options that several commands use; they may stand anywhere."""
 
@@ -116,6 +119,7 @@ app.add_typer(manifest.app)
 app.add_typer(pki.app, name="pki")
 app.add_typer(router.app)
 app.add_typer(hold.app)
+app.add_typer(handover.app)
 app.add_typer(audit.app)
 app.add_typer(store.app, name="store")
 app.add_typer(benchmark.benchmark, name="benchmark")

@@ -52,7 +52,7 @@ class _StoreRows:
 
 @dataclass(slots=True)
 class DayTracker:
-    """Keeps data that only members report: energies, take-offs, waiting times on the pad. `wind`:
+    """Keeps data that only members report: take-offs, waiting times on the pad. `wind`:
     wind field measured by the fleet. `forecast`: monitor of the followed forecast.
     """
 
@@ -63,7 +63,6 @@ class DayTracker:
     wind: SiteWind | None = None
     forecast: ForecastMonitor | None = None
     snapshot: DaySnapshot | None = None
-    _energy_wh: dict[str, tuple[float, float]] = field(default_factory=dict)
     _airborne: set[str] = field(default_factory=set)
     _truck_stop: tuple[str, bool] | None = None
     _wait_start_s: dict[str, float] = field(default_factory=dict)
@@ -95,12 +94,9 @@ class DayTracker:
         if state.vehicle == TRUCK:
             self._record_truck_arrival_or_departure(state)
             return
-        if state.armed and state.assignment:
-            if state.energy_left_wh is not None:
-                initial_wh = self._energy_wh.get(state.assignment, (state.energy_left_wh, 0.0))[0]
-                self._energy_wh[state.assignment] = (initial_wh, state.energy_left_wh)
-            if (state.height_rel_m or 0.0) > AIRBORNE_HEIGHT_M:
-                self._airborne.add(state.assignment)
+        is_up = (state.height_rel_m or 0.0) > AIRBORNE_HEIGHT_M
+        if state.armed and state.assignment and is_up:
+            self._airborne.add(state.assignment)
 
     def _record_truck_arrival_or_departure(self, state: State) -> None:
         """Record the truck's arrivals and departures in the store."""
@@ -153,6 +149,9 @@ class DayTracker:
             desk_start_s=(self._desk_start_us - start_us) / 1e6,
             drones_on_hold=frozenset(
                 vehicle for vehicle in drones if hold_of_vehicle_or_of_all(rows.hold_list, vehicle)
+            ),
+            drones_out_of_service=frozenset(
+                hold.scope for hold in rows.hold_list if hold.is_out_of_service
             ),
         )
         if self.forecast is not None:
@@ -272,15 +271,6 @@ class DayTracker:
         if self.forecast is None or self.snapshot is None:
             return None
         return self.forecast.tracker.forecast_in_day_time(self.snapshot.start_us)
-
-    def pop_energy_used_wh(self, assignment: str) -> float | None:
-        """Return the energy of a finished flight once; None: it has reported none."""
-        first_and_last_wh = self._energy_wh.pop(assignment, None)
-        return (
-            None
-            if first_and_last_wh is None
-            else max(0.0, first_and_last_wh[0] - first_and_last_wh[1])
-        )
 
 
 def _open_order_ids(orders: list[OrderRow]) -> frozenset[str]:

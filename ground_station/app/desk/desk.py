@@ -15,20 +15,22 @@ from ground_station.adapters.store.launch_store import (
     launches_that_may_start,
 )
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.shift.days import day_and_spares, has_new_spare
 from ground_station.app.desk.command_authority import CommandAuthority
 from ground_station.app.desk.dispatcher import CycleResult, Dispatcher
+from ground_station.app.desk.energy_use import EnergyUse
 from ground_station.app.desk.exchange import FleetExchange
 from ground_station.app.desk.restore_evidence import RestoreEvidence
 from ground_station.app.desk.site.site_monitor import SiteMonitor
 from ground_station.app.desk.site.wind_publisher import WindPublisher
 from ground_station.core.fleet.fleet_status import FLIGHT_PHASE_NAMES, VehicleStatus
 from ground_station.core.fleet.launch_evidence import is_launch_over, window_of
+from ground_station.core.schema.order_states import CLOSED
 from ground_station.core.schema.orders import (
     IN_FORCE,
     AssignmentRow,
     AssignmentState,
     OrderRow,
-    OrderState,
 )
 
 MAX_CYCLE_INTERVAL_S = 0.5
@@ -40,7 +42,8 @@ class Desk:
     """Desk of one dispatcher over a fleet. `wind`: monitor of the site; None: the wind is not
     monitored, and vehicles receive no wind reports. `authority`: None in a fleet without a roster.
 
-    `members`: drones of the day. `last_progress_s`: time of the last progress.
+    `members`: drones of the day. `last_progress_s`: time of the last progress. `has_new_spare`: a
+    drone has joined the day: open the desk again, with its data.
     """
 
     exchange: FleetExchange
@@ -50,7 +53,10 @@ class Desk:
     members: frozenset[str] = frozenset()
     wind_publisher: WindPublisher | None = field(init=False, default=None)
     last_progress_s: float = field(init=False)
+    has_new_spare: bool = False
+    _energy: EnergyUse = field(default_factory=EnergyUse)
     _epoch: str = field(init=False)
+    _day_and_spares: tuple[str, dict[str, str]] = field(init=False)
     _evidence: RestoreEvidence = field(init=False)
     _last_cycle_s: float | None = None
     _next_cycle_s: float = 0.0
@@ -63,6 +69,7 @@ class Desk:
         self.exchange.on_state = self._on_state
         self.exchange.earliest_launch_s = lambda: self.dispatcher.earliest_launch_s
         self._epoch = self.store.epoch()
+        self._day_and_spares = day_and_spares(self.store.database)
         self._evidence = RestoreEvidence(
             self.store, self.members, self.exchange.log, self.exchange.clock.epoch_us
         )
@@ -82,6 +89,7 @@ class Desk:
         if self.wind is not None:
             self.wind.on_state(state)
         self.dispatcher.on_state(state)
+        self._energy.record_state(state)
 
     @property
     def store(self) -> Store:
@@ -154,14 +162,17 @@ class Desk:
             self.authority.refuse_unauthorised_launches()
         if self.store.epoch() != self._epoch:  # what this desk knows is of another store
             raise LeewayError("the store was restored while this desk ran: start the desk again")
+        self.has_new_spare = has_new_spare(self.store.database, self._day_and_spares)
         if self._evidence.update(exchange):
             has_new_messages = exchange.changed = True
         if self.wind is not None and self.wind.update_and_report_hold_change(
             exchange.status
         ):  # holds precede launches
             has_new_messages = exchange.changed = True
-        for row in self.store.assignments(in_force=True):
+        in_force = self.store.assignments(in_force=True)
+        for row in in_force:
             self._process_assignment_in_force(row)
+        self._energy.store_finished(self.store.database, exchange.clock, in_force)
         match self.dispatcher.run_decision_cycle(
             exchange.status, has_new_messages=has_new_messages
         ):
@@ -266,9 +277,8 @@ class Desk:
         return self.exchange.clock.monotonic_s() - self.last_progress_s > idle_s
 
     def undelivered_orders(self) -> list[OrderRow]:
-        """Return the orders that are neither delivered nor cancelled."""
-        done = (OrderState.DELIVERED, OrderState.CANCELLED)
-        return [row for row in self.store.orders() if row.state not in done]
+        """Return the orders that are not closed."""
+        return [row for row in self.store.orders() if row.state not in CLOSED]
 
     def undelivered_reason(self, row: OrderRow) -> str:
         """Return the reason why an order is not delivered, as far as it is recorded."""

@@ -6,21 +6,24 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.clock import epoch_us as clock_epoch_us
 from ground_station.adapters.clock import local_date
 from ground_station.adapters.store.audit_steps import MAX_TEXT_LENGTH
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.orders import order_changes
+from ground_station.adapters.store.orders import order_changes, out_of_service
 from ground_station.adapters.store.orders.order_history import delivery_proofs, record_photo
 from ground_station.adapters.store.settle import SETTLED_FROM
 from ground_station.adapters.store.settle import (
     close_order_with_outcome as close_order_with_outcome,
 )
+from ground_station.adapters.store.shift import days
+from ground_station.adapters.store.shift.pack_store import fit_pack
 from ground_station.app.desk.recall import NoVehicleReceivedError, Recaller
 from ground_station.app.desk.recall import recall_and_hold_vehicles as recall_fleet
 from ground_station.app.desk.recall_record import RecallRecord
 from ground_station.core.fleet.fleet_link import FleetLink
-from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_data import DayData, data_with_spares
 from ground_station.core.schema.holds import (
     ALL_DRONES,
     hold_of_vehicle_or_of_all,
@@ -69,6 +72,16 @@ def place_holds(
     )
 
 
+def take_out_of_service(
+    store: Store, epoch_us: EpochUs, vehicle: str, reason: str, by: str, spare: str | None
+) -> CommandReport:
+    """Hold a drone and give its order on the ground to another one. `spare`: joins in its place.
+    LeewayError for an invalid name.
+    """
+    done = out_of_service.take_out_of_service(store.database, epoch_us, vehicle, reason, by, spare)
+    return CommandReport(done)
+
+
 def clear_holds(store: Store, epoch_us: EpochUs, scopes: list[str], by: str) -> CommandReport:
     """Release holds; `report_operator_check` of the result names scopes that had no such hold."""
     released = HoldStore(store.database, epoch_us).clear_holds(scopes, by)
@@ -79,13 +92,28 @@ def clear_holds(store: Store, epoch_us: EpochUs, scopes: list[str], by: str) -> 
     return CommandReport(messages, [f"{name}: no launch hold of its own" for name in names])
 
 
-def record_launch_confirmation(store: Store, order_id: str, by: str) -> CommandReport:
-    """Confirm the launch of the drone with this order. LeewayError gives the reason if refused."""
+def record_launch_confirmation(
+    store: Store,
+    order_id: str,
+    by: str,
+    epoch_us: EpochUs = clock_epoch_us,
+    pack: str | None = None,
+) -> CommandReport:
+    """Confirm the launch of the drone with this order. LeewayError gives the reason if refused.
+    `pack`: fitted to the drone.
+    """
+    checks: list[str] = []
+    if pack is not None:
+        in_force = store.assignments(in_force=True)
+        vehicle = next((row.vehicle for row in in_force if row.order_id == order_id), None)
+        if vehicle is None:
+            raise LeewayError(f"order {order_id}: {_launch_refusal_reason(store, order_id)}")
+        checks = fit_pack(store.database, epoch_us, vehicle, pack, by)
     id_ = store.record_launch_confirmation(order_id, by)
     if id_ is None:
         raise LeewayError(f"order {order_id}: {_launch_refusal_reason(store, order_id)}")
     text = "it launches when the gap after the last launch permits"
-    return CommandReport([f"{order_id}: launch confirmed by {by}; {text}"])
+    return CommandReport([f"{order_id}: launch confirmed by {by}; {text}"], checks)
 
 
 def _launch_refusal_reason(store: Store, order_id: str) -> str:
@@ -120,6 +148,9 @@ def add_orders(store: Store, orders: list[Order], by: str) -> CommandReport:
     if result.conflicts:
         text = ", ".join(result.conflicts)
         raise LeewayError(f"orders {text}: already stored with other content; nothing imported")
+    if result.earlier:
+        text = ", ".join(result.earlier)
+        raise LeewayError(f"orders {text}: of an earlier day, expected new ids; nothing imported")
     known = f", {len(result.known)} imported before" if result.known else ""
     if result.kept:
         known += f", of them {', '.join(result.kept)} changed since by a person: kept as changed"
@@ -127,12 +158,20 @@ def add_orders(store: Store, orders: list[Order], by: str) -> CommandReport:
 
 
 def cancel_order(
-    store: Store, epoch_us: EpochUs, order_id: str, by: str, reason: str
+    store: Store,
+    epoch_us: EpochUs,
+    order_id: str,
+    by: str,
+    reason: str,
+    *,
+    to_sender: bool = False,
 ) -> CommandReport:
-    """Cancel an order; withdraws it on the ground. LeewayError if its state does not permit it."""
-    return CommandReport(
-        [order_changes.cancel_order(store.database, epoch_us, order_id, by, reason)]
-    )
+    """Cancel an order, or return it to its sender; withdraws it on the ground. LeewayError if its
+    state does not permit it.
+    """
+    state = OrderState.RETURNED if to_sender else OrderState.CANCELLED
+    text = order_changes.cancel_order(store.database, epoch_us, order_id, by, reason, state)
+    return CommandReport([text])
 
 
 def change_order(
@@ -239,3 +278,17 @@ def hold_scopes_of(vehicle: str | None) -> list[str]:
         return [ALL_DRONES]
     raise_if_invalid_vehicle_name(vehicle)
     return [vehicle]
+
+
+def data_with_stored_spares(data: DayData, store: Store) -> DayData:
+    """Return the data of a day with the spare drones that have joined it."""
+    return data_with_spares(data, days.read_spares(store.database))
+
+
+def begin_or_continue_day(store: Store, by: str, *, new_day: bool) -> str:
+    """Begin today's day if asked; return the result, or a warning for an older day; else empty."""
+    today, day = local_date().isoformat(), days.current_day(store.database)
+    if new_day:
+        return days.begin_day(store.database, clock_epoch_us, today, by)
+    text = f"WARNING: day {day} of the store continues; --new-day begins {today}"
+    return "" if day == today else text

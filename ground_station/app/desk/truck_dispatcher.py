@@ -109,7 +109,6 @@ class TruckDispatcher:
         tracker.discard_expired_store_rows()
         snapshot = tracker.update_snapshot(status)
         truck = snapshot.truck
-        self._store_energy_of_finished_sorties(snapshot)
         self._late_orders.publish(snapshot.late_texts(self.active.data.orders))
         if truck is None:
             return CycleResult.IDLE
@@ -142,12 +141,6 @@ class TruckDispatcher:
             self._cached_version, self._airspace = self.active.version, None
             self._feasibility = None
             self._tracker.discard_store_rows()
-
-    def _store_energy_of_finished_sorties(self, snapshot: DaySnapshot) -> None:
-        for row in snapshot.sorties:
-            used_wh = self._tracker.pop_energy_used_wh(row.id) if row.is_finished else None
-            if used_wh is not None:
-                self.day.update_sortie_columns(row.id, used_wh=used_wh)
 
     def _store_action_and_format_result(self, action: DispatchAction) -> str | None:
         day, by = self.day, self.issuer

@@ -33,6 +33,8 @@ def fleet_facts(
         idle_reasons={name: format_reason(why) for name, why in rows.idle_reasons.items()},
         late={**rows.late_orders, **_late_in_flight(snapshot, drones)},
         held={hold.scope for hold in rows.hold_list},
+        out_of_service={h.scope: h.text for h in rows.hold_list if h.is_out_of_service},
+        handover=rows.handover,
         desk_silence_s=snapshot.desk_silence_s,
         desk_alarm=snapshot.desk_alarm,
         store_error=snapshot.store_error,

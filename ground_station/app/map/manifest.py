@@ -11,6 +11,7 @@ import msgspec
 from companion.core.base.safe_text import escape_csv_formula
 from ground_station.app.map.picture import ManifestRow, OrderShown, PlanShown
 from ground_station.app.views.times import format_date_and_time, format_local_time
+from ground_station.core.schema.order_states import CLOSED, OrderState
 from ground_station.core.schema.order_window import format_window
 
 COLUMNS = (
@@ -20,7 +21,8 @@ COLUMNS = (
 PHONE = re.compile(r"\+[\d ()/-]+")
 """Not a formula, although it begins with a plus sign."""
 
-OVER = ("delivered", "cancelled")
+OVER = [state.value for state in CLOSED]
+TO_SENDER = "return to sender"
 STYLE = """@page { size: A4 landscape; margin: 12mm } body { font: 11pt sans-serif }
 table { border-collapse: collapse; width: 100% } thead { display: table-header-group }
 th, td { border: 1px solid #999; padding: 1mm 1.5mm; text-align: left; vertical-align: top }
@@ -29,18 +31,25 @@ tr { break-inside: avoid }"""
 
 def manifest_rows(plan: PlanShown | None, orders: Mapping[str, OrderShown]) -> list[ManifestRow]:
     """Return what the driver does at each stop, in order: deliver, load drones, wait for drones.
-    Without a plan: the drones' loads at the depot, then the orders that wait.
+    Without a plan: the drones' loads at the depot, then the orders that wait. Last the parcels that
+    go back to their senders.
     """
+    end = plan.route[-1] if plan is not None and plan.route else "depot"
+    returned = [
+        ManifestRow(stop=end, does=TO_SENDER, order=id_)
+        for id_, order in orders.items()
+        if order.state == OrderState.RETURNED.value
+    ]
     left = {id_: order for id_, order in orders.items() if order.state not in OVER}
     if plan is not None:
-        return [row for id_ in plan.route for row in _stop_rows(plan, id_, left)]
+        return [*(row for id_ in plan.route for row in _stop_rows(plan, id_, left)), *returned]
     loads = [
         ManifestRow(
             stop="depot", does="load" if one.vehicle else "waiting", order=id_, drone=one.vehicle
         )
         for id_, one in left.items()
     ]
-    return sorted(loads, key=lambda row: (row.does, row.drone or ""))
+    return [*sorted(loads, key=lambda row: (row.does, row.drone or "")), *returned]
 
 
 def _stop_rows(plan: PlanShown, id_: str, left: Mapping[str, OrderShown]) -> Iterator[ManifestRow]:

@@ -11,21 +11,25 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us, local_date
 from ground_station.adapters.files.order_files import read_orders
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.shift.handover import accept_handover, hand_over
 from ground_station.app.desk import operator_commands
 from ground_station.app.desk.operator_commands import CommandReport
 from ground_station.core.dispatch.depot_assignment import assigner_of_day
 from ground_station.core.feasibility.reach import Feasible
 from ground_station.core.fleet.fleet_link import FleetLink
 from ground_station.core.people.map_command_messages import (
+    AcceptHandover,
     AddOrder,
     CancelOrder,
     ChangeOrder,
     ConfirmLaunch,
+    HandOver,
     HoldDrone,
     ImportOrders,
     RecallDrone,
     ReleaseDrone,
     SettleOrder,
+    ShiftCommand,
     WebCommand,
 )
 from ground_station.core.people.person import DeskOperator
@@ -141,11 +145,23 @@ class OperatorCommands:
 
     def _execute_store_command(
         self,
-        command: HoldDrone | ReleaseDrone | ConfirmLaunch | SettleOrder | ChangeOrder | CancelOrder,
+        command: HoldDrone
+        | ReleaseDrone
+        | ConfirmLaunch
+        | SettleOrder
+        | ChangeOrder
+        | CancelOrder
+        | ShiftCommand,
         issuer: str,
     ) -> CommandReport:
         with closing(self.open_store()) as store:
             match command:
+                case HoldDrone(vehicle=str(vehicle), is_out=True):
+                    return operator_commands.take_out_of_service(
+                        store, epoch_us, vehicle, command.reason, issuer, command.spare
+                    )
+                case HoldDrone(is_out=True) | HoldDrone(spare=str()):
+                    raise LeewayError("expected a vehicle with out_of_service, and it with spare")
                 case HoldDrone():
                     scopes = operator_commands.hold_scopes_of(command.vehicle)
                     return operator_commands.place_holds(
@@ -156,7 +172,7 @@ class OperatorCommands:
                     return operator_commands.clear_holds(store, epoch_us, scopes, issuer)
                 case ConfirmLaunch():
                     return operator_commands.record_launch_confirmation(
-                        store, command.order, issuer
+                        store, command.order, issuer, epoch_us, command.pack
                     )
                 case ChangeOrder():
                     return operator_commands.change_order(
@@ -164,8 +180,18 @@ class OperatorCommands:
                     )
                 case CancelOrder():
                     return operator_commands.cancel_order(
-                        store, epoch_us, command.order, issuer, command.reason
+                        store,
+                        epoch_us,
+                        command.order,
+                        issuer,
+                        command.reason,
+                        to_sender=command.to_sender,
                     )
+                case HandOver():
+                    text = hand_over(store.database, epoch_us, issuer, command.note)
+                    return CommandReport([text])
+                case AcceptHandover():
+                    return CommandReport([accept_handover(store.database, epoch_us, issuer)])
                 case SettleOrder():
                     settled = ParcelOutcome(command.settled)
                     return operator_commands.close_order_as_operator(

@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
+import msgspec
+
 from companion.core.base.import_report import report_lines
 from companion.fleet.messages import State
 from ground_station.app.map.attention_facts import fleet_facts
@@ -26,6 +28,7 @@ from ground_station.core.fleet.attention import AttentionLimits, attention_items
 from ground_station.core.fleet.risk_words import format_loss
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.holds import hold_of_vehicle_or_of_all
 
 
 class MapView:
@@ -56,7 +59,7 @@ class MapView:
     def build_picture(self, snapshot: MapSnapshot) -> dict[str, Any]:
         """Return the picture as JSON types."""
         drones = {
-            name: drone_shown(self._drone_snapshot(snapshot, name), snapshot.t_s)
+            name: self._drone_shown(snapshot, name)
             for name in self._displayed_drone_names(snapshot)
         }
         day, truck = snapshot.store.rows.day, None
@@ -72,6 +75,7 @@ class MapView:
                 *snapshot.notes,
                 *_hold_and_confirmation_notes(snapshot.store.rows),
             ],
+            handover=snapshot.store.rows.handover,
             drones=drones,
             truck=truck,
             winds=list(self._displayed_winds(snapshot)),
@@ -112,10 +116,22 @@ class MapView:
         }
         return sorted(names - {TRUCK})
 
+    def _drone_shown(self, snapshot: MapSnapshot, name: str) -> DroneShown:
+        rows = snapshot.store.rows
+        shown = drone_shown(self._drone_snapshot(snapshot, name), snapshot.t_s)
+        hold = hold_of_vehicle_or_of_all(rows.hold_list, name)
+        return msgspec.structs.replace(
+            shown,
+            hold="" if hold is None else hold.text,
+            in_place_of=rows.spares.get(name, ""),
+            pack=rows.packs.get(name, ""),
+        )
+
     def _drone_snapshot(self, snapshot: MapSnapshot, name: str) -> DroneSnapshot:
         store_snapshot = snapshot.store
         row = store_snapshot.assignments.get(name)
         vehicle_status = snapshot.status.status_of(name)
+        of_day = store_snapshot.rows.spares.get(name, name)
         return DroneSnapshot(
             status=vehicle_status,
             track=snapshot.tracks.get(name) or VehicleTrack(),
@@ -126,7 +142,7 @@ class MapView:
             diverted_to=snapshot.decisions.diversion_site_in_force(vehicle_status.state),
             depot=self._site.depot,
             rally_points=self._site.rally,
-            figures=None if self._area_model is None else self._area_model.drone_figures(name),
+            figures=None if self._area_model is None else self._area_model.drone_figures(of_day),
             epoch_us=snapshot.epoch_us,
         )
 

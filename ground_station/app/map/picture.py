@@ -7,6 +7,8 @@ from typing import Any
 
 import msgspec
 
+from ground_station.core.schema.holds import Handover
+
 Point = tuple[float, float]
 
 
@@ -42,6 +44,12 @@ class DroneShown(_PicturePart, frozen=True, kw_only=True):
     """Course over the last metres of received movement."""
     ground_speed_mps: float | None = None
     received_us: int | None = msgspec.field(default=None, name="heard_us")
+    hold: str = ""
+    """The hold that keeps it on the ground, as text."""
+    in_place_of: str = ""
+    """The drone of the day whose place this spare has."""
+    pack: str = ""
+    """The fitted pack, as a person has stated it."""
     order: str | None = None
     home: str | None = None
     requested_stop: str | None = msgspec.field(default=None, name="asked")
@@ -217,6 +225,8 @@ class MapPicture(_PicturePart, frozen=True, kw_only=True):
     """Last heartbeat of a desk."""
     notes: list[str] = []
     """Holds, and launches that an operator has confirmed."""
+    handover: Handover | None = None
+    """The latest hand-over of a shift."""
     drones: dict[str, DroneShown] = {}
     truck: TruckShown | None = None
     orders: dict[str, OrderShown] = {}

@@ -21,6 +21,7 @@ from ground_station.app.views.times import format_time_of_day
 
 if TYPE_CHECKING:
     from companion.fleet.membership import JoinOptions
+    from ground_station.adapters.store.database import Database
     from ground_station.adapters.store.order_store import Store
     from ground_station.adapters.zenoh_fleet import ZenohFleet
     from ground_station.core.people.person import DeskOperator
@@ -88,6 +89,15 @@ OpenNetwork = Annotated[
         help="Permit a network without TLS or with multicast discovery.",
     ),
 ]
+Date = Annotated[
+    str | None,
+    typer.Option(
+        "--date",
+        metavar="YYYY-MM-DD",
+        rich_help_panel=SHARED_PANEL,
+        help="A past day of the store, to read. Default: its current day.",
+    ),
+]
 FleetName = Annotated[
     str | None,
     typer.Option(
@@ -119,6 +129,7 @@ class DeskOptions:
     zenoh: Path | None = None
     open_network: bool = False
     fleet: str | None = None
+    date: str | None = None
 
     @property
     def store_url(self) -> str:
@@ -142,7 +153,16 @@ class DeskOptions:
         from ground_station.adapters.store.outage import Outage
 
         outage = Outage(monotonic_s) if tolerate_outage else None
-        return Store(Database(self.store_url, create=create, outage=outage), WallClock().epoch_us)
+        database = Database(self.store_url, create=create, outage=outage)
+        self.select_date(database)
+        return Store(database, WallClock().epoch_us)
+
+    def select_date(self, database: "Database") -> None:
+        """Read the past day of --date. Raises LeewayError if the store has no such day."""
+        if self.date is not None:
+            from ground_station.adapters.store.shift.days import past_day_or_none
+
+            database.day = past_day_or_none(database, self.date)
 
     @contextmanager
     def operator_and_store(self, *, create: bool = False) -> "Iterator[tuple[str, Store]]":

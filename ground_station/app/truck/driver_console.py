@@ -6,17 +6,19 @@ import threading
 from collections.abc import Sequence
 from typing import TextIO
 
+import msgspec
 from rich.console import Console
 from rich.table import Table
 
 from companion.core.base.errors import LeewayError
 from companion.fleet.service_manager import Watchdog
 from ground_station.app.truck.truck_member import TruckMember
-from ground_station.core.fleet.truck_state import Task
+from ground_station.core.fleet.truck_state import Task, TaskKind
 
 CYCLE_S = 0.1
 HELP = "Enter: first task done. 2: second task done. x 1 REASON: task 1 not possible. q: quit"
 PARCEL_MISSING, ABOARD = "gone", "aboard"
+PACK_HELP = "1 P7: drone collected, pack P7 fitted"
 PARCEL_HELP = f"1 {PARCEL_MISSING}, 1 {ABOARD}: where its parcel is"
 
 
@@ -69,13 +71,12 @@ def _show_tasks(truck_member: TruckMember, console: Console, prefix: str) -> Non
         console.print(f"{location_text}: no tasks, wait for the dispatcher", highlight=False)
         return
     console.bell()
-    has_parcel_check = any(task.parcel for task in truck.tasks)
-    table = Table(
-        "",
-        "task",
-        title=location_text,
-        caption=f"{HELP}; {PARCEL_HELP}" if has_parcel_check else HELP,
-    )
+    help_texts = [HELP]
+    if any(task.kind is TaskKind.RECOVER for task in truck.tasks):
+        help_texts.append(PACK_HELP)
+    if any(task.parcel for task in truck.tasks):
+        help_texts.append(PARCEL_HELP)
+    table = Table("", "task", title=location_text, caption="; ".join(help_texts))
     for number, task in enumerate(truck.tasks, 1):
         table.add_row(str(number), task.driver_instruction)
     console.print(table)
@@ -88,16 +89,18 @@ def execute_driver_input(truck: TruckMember, line: str, console: Console) -> Non
     tasks = truck.tasks
     index = int(number) if number.isdecimal() else (0 if number else 1)
     task = tasks[index - 1] if 1 <= index <= len(tasks) else None
-    parcel_is_missing = (
-        {PARCEL_MISSING: True, ABOARD: False}.get(argument) if task and task.parcel else None
-    )
-    if task is None or (argument and not is_refusal and parcel_is_missing is None):
+    words = [] if is_refusal else argument.split()
+    parcel_is_missing = None
+    if task is not None and task.parcel and words and words[0] in (PARCEL_MISSING, ABOARD):
+        parcel_is_missing = words.pop(0) == PARCEL_MISSING
+    pack = words.pop() if words and task and task.kind is TaskKind.RECOVER else msgspec.UNSET
+    if task is None or words:
         console.print(f"expected 1 to {len(tasks)}. {HELP}", highlight=False)
         return
     try:
         if is_refusal:
             truck.report_task_not_possible(task, argument or "no reason given")
         else:
-            truck.report_task_done(task, parcel_is_missing=parcel_is_missing)
+            truck.report_task_done(task, parcel_is_missing=parcel_is_missing, pack=pack)
     except LeewayError as error:
         console.print(str(error), highlight=False)

@@ -93,14 +93,20 @@ class TruckMember:
             return CommandReply(CommandStatus.LATER, f"cannot write it down: {error.strerror}")
         return verdict
 
-    def report_task_done(self, task: Task, *, parcel_is_missing: bool | None = None) -> None:
+    def report_task_done(
+        self,
+        task: Task,
+        *,
+        parcel_is_missing: bool | None = None,
+        pack: str | msgspec.UnsetType = msgspec.UNSET,
+    ) -> None:
         """Record a completed task. `parcel_is_missing`: whether the parcel of a parcel check was
-        missing.
+        missing. `pack`: fitted to a recovered drone.
 
         Raises LeewayError if there is no such task, or `parcel_is_missing` is required.
         """
         self._report_and_store_state(
-            *confirm_task(self.state, task, is_parcel_dropped=parcel_is_missing)
+            *confirm_task(self.state, task, is_parcel_dropped=parcel_is_missing, pack=pack)
         )
 
     def report_task_not_possible(self, task: Task, reason: str) -> None:

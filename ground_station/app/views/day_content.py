@@ -5,9 +5,12 @@ from dataclasses import dataclass, field
 
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.shift.days import read_spares
+from ground_station.adapters.store.shift.handover import read_handover
+from ground_station.adapters.store.shift.pack_store import pack_by_vehicle
 from ground_station.adapters.store.tables import CONFIRM_KEY, IDLE_KEY, LATE_KEY
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, format_minutes_and_seconds
-from ground_station.core.schema.holds import Hold
+from ground_station.core.schema.holds import Handover, Hold
 from ground_station.core.schema.orders import AssignmentRow, OrderRow
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
@@ -67,6 +70,11 @@ class DisplayRows:
     idle_reasons: Mapping[str, str] = field(default_factory=dict)
     late_orders: Mapping[str, str] = field(default_factory=dict)
     """Orders that cannot keep their window, with the reason."""
+    spares: Mapping[str, str] = field(default_factory=dict)
+    """Spare drones, each with the drone whose place it has."""
+    packs: Mapping[str, str] = field(default_factory=dict)
+    """The fitted pack of each drone."""
+    handover: Handover | None = None
     launch_requests: Sequence[str] = ()
     """Assignments that wait for a confirmed launch."""
 
@@ -81,4 +89,16 @@ def read_display_rows(store: Store, day: DayStore, now_us: int) -> DisplayRows:
     requests = store.database.about_value(CONFIRM_KEY, list[str]) if plan is None else None
     holds = store.holds_in_force()
     late = store.database.about_value(LATE_KEY, dict[str, str]) or {}
-    return DisplayRows(assignments, store.orders(), shown, holds, idle or {}, late, requests or [])
+    spares, packs = read_spares(store.database), pack_by_vehicle(store.database)
+    return DisplayRows(
+        assignments,
+        store.orders(),
+        shown,
+        holds,
+        idle or {},
+        late,
+        spares,
+        packs,
+        read_handover(store.database),
+        requests or [],
+    )

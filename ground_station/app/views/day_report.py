@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from statistics import fmean, median
 from typing import Any
 
@@ -15,11 +16,14 @@ from companion.core.mission.alerts import Alert, is_text_of_any_alert
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.orders.order_history import delivery_proofs
+from ground_station.adapters.store.orders.order_history import attempts_by_order, delivery_proofs
+from ground_station.adapters.store.shift.days import current_day
+from ground_station.adapters.store.shift.pack_store import energy_by_pack
 from ground_station.app.views.order_view import proof_text
 from ground_station.app.views.terminal import plain_table
+from ground_station.core.schema.order_states import CLOSED, OrderState
 from ground_station.core.schema.order_window import format_window
-from ground_station.core.schema.orders import OVERRIDE_OUTCOME, DeliveryProof, OrderRow, OrderState
+from ground_station.core.schema.orders import OVERRIDE_OUTCOME, DeliveryProof, OrderRow
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
 FIGURE_LABELS = {
@@ -33,17 +37,29 @@ FIGURE_LABELS = {
 }
 
 
+OTHER_TABLES = (
+    *("format", "deliveries_by_vehicle", "by_vehicle", "packs"),
+    *("proofs", "left", "returned"),
+)
+"""Parts of the report that are not in the table of figures."""
+
+
 def day_report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
     """Return the figures as JSON types; with `day` also those of a day with a truck."""
     orders, assignments = store.orders(), store.assignments()
     commands, events = store.commands(), store.events()
     outcomes = _first_outcome_events(events)
-    proofs = delivery_proofs(store.database)
-    delivered = [(row, proofs[row.order.id]) for row in orders if row.order.id in proofs]
+    proofs, flights = delivery_proofs(store.database), attempts_by_order(store.database)
+    delivered = [
+        (row, proofs[row.order.id])
+        for row in orders
+        if row.order.id in proofs and row.state is not OrderState.OPEN
+    ]
     margins = [e.margin_wh for e in outcomes if e.margin_wh is not None]
     p_home = [e.p_home for e in events if e.p_home is not None and e.assignment]
     return {
         "format": "day-report/1",
+        "date": store.database.day or current_day(store.database),
         "orders": dict(Counter(row.state.value for row in orders)),
         "assignments": dict(Counter(row.state.value for row in assignments)),
         "outcomes": dict(Counter(e.outcome for e in outcomes if e.outcome)),
@@ -59,6 +75,10 @@ def day_report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
         "monitors": sorted(_monitor_alert_texts(events)),
         "held": [hold.text for hold in store.holds_in_force()],
         "by_vehicle": _flight_statistics_by_vehicle(outcomes),
+        "packs": {
+            pack: {"flights": count, "used_wh": used_wh}
+            for pack, (count, used_wh) in energy_by_pack(store.database).items()
+        },
         "windows": _count_windows(delivered),
         "proofs": [
             {
@@ -70,12 +90,19 @@ def day_report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
             }
             for row, proof in delivered
         ],
-        "left": [
-            {"order": row.order.id, "state": row.state.value, "why": row.reason}
-            for row in orders
-            if row.state not in (OrderState.DELIVERED, OrderState.CANCELLED)
-        ],
+        "left": [_left(row, flights) for row in orders if row.state not in CLOSED],
+        "returned": [_left(row, flights) for row in orders if row.state is OrderState.RETURNED],
         **(_truck_statistics(day) if day is not None else {}),
+    }
+
+
+def _left(row: OrderRow, attempts: Mapping[str, int]) -> dict[str, Any]:
+    id_ = row.order.id
+    return {
+        "order": id_,
+        "state": row.state.value,
+        "why": row.reason,
+        "attempts": attempts.get(id_, 0),
     }
 
 
@@ -190,7 +217,7 @@ def report_tables(report: dict[str, Any]) -> RenderableType:
     """Return the figures as tables."""
     table = plain_table("what", "figure", title="the day")
     for name, value in report.items():
-        if name in ("format", "deliveries_by_vehicle", "by_vehicle", "proofs", "left"):
+        if name in OTHER_TABLES:
             continue
         if isinstance(value, dict):
             value = ", ".join(f"{n} {key}" for key, n in sorted(value.items())) or "none"
@@ -210,7 +237,12 @@ def report_tables(report: dict[str, Any]) -> RenderableType:
         table,
         _vehicles_table(report["by_vehicle"]),
         *([proofs] if report["proofs"] else []),
-        *_undelivered_lines(report["left"]),
+        *(
+            Text(f"pack {pack}: {row['flights']} flights, {row['used_wh']:.0f} Wh")
+            for pack, row in sorted(report["packs"].items())
+        ),
+        *_undelivered_lines("to sender", report["returned"]),
+        *(_undelivered_lines("left", report["left"]) or [Text("every order is closed")]),
     )
 
 
@@ -226,10 +258,11 @@ def _vehicles_table(by_vehicle: dict[str, dict[str, Any]]) -> Table:
     return table
 
 
-def _undelivered_lines(undelivered_orders: list[dict[str, str]]) -> list[Text]:
-    if not undelivered_orders:
-        return [Text("every order is delivered or cancelled")]
+def _undelivered_lines(heading: str, rows: list[dict[str, Any]]) -> list[Text]:
     return [
-        Text(f"left: {row['order']} {row['state']} {row['why']}".rstrip())
-        for row in undelivered_orders
+        Text(
+            f"{heading}: {row['order']} {row['state']} after {row['attempts']} attempts"
+            f" {row['why']}".rstrip()
+        )
+        for row in rows
     ]

@@ -11,12 +11,16 @@ from rich.text import Text
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.orders.order_history import delivery_proofs, read_order_history
+from ground_station.adapters.store.orders.order_history import (
+    attempts_by_order,
+    delivery_proofs,
+    read_order_history,
+)
 from ground_station.app.views.terminal import plain_table
 from ground_station.app.views.times import format_date_and_time
 from ground_station.core.schema.order_changes import order_cells
 from ground_station.core.schema.order_window import format_window
-from ground_station.core.schema.orders import IN_FORCE, DeliveryProof, OrderRow, OrderState
+from ground_station.core.schema.orders import DeliveryProof, OrderRow, OrderState
 
 
 def order_record(store: Store, order_id: str) -> dict[str, Any]:
@@ -31,8 +35,8 @@ def order_record(store: Store, order_id: str) -> dict[str, Any]:
         **msgspec.to_builtins(row.order),
         "state": shown_state(row, proof).value,
         "why": row.reason,
-        "attempts": row.attempts,
-        "vehicle": carrier[0].vehicle if carrier and carrier[0].state in IN_FORCE else None,
+        "attempts": attempts_by_order(store.database).get(order_id, 0),
+        "vehicle": carrier[0].vehicle if carrier else None,
         "proof": None if proof is None else msgspec.to_builtins(proof),
         "history": msgspec.to_builtins(read_order_history(store.database, order_id)),
     }
@@ -47,7 +51,8 @@ def shown_state(row: OrderRow, proof: DeliveryProof | None) -> OrderState:
 def order_list(store: Store, state: OrderState | None) -> tuple[Table, Counter[str]]:
     """Return the orders, or those in this state, as a table, and their number by state."""
     proofs, counts, now_us = delivery_proofs(store.database), Counter[str](), epoch_us()
-    table = plain_table("order", "kg", "service", "window", "state", "flights", "reason")
+    table = plain_table("order", "kg", "service", "window", "state", "attempts", "reason")
+    attempts = attempts_by_order(store.database)
     for row in store.orders():
         order, shown = row.order, shown_state(row, proofs.get(row.order.id))
         if state in (None, shown):
@@ -55,7 +60,7 @@ def order_list(store: Store, state: OrderState | None) -> tuple[Table, Counter[s
             priority = "urgent" if order.is_urgent else ""
             window = f"{priority} {format_window(order.window, now_us)}".strip()
             cells = (order.id, f"{order.mass_kg:g}", order.service.value, window, shown.value)
-            table.add_row(*cells, str(row.attempts), row.reason)
+            table.add_row(*cells, str(attempts.get(order.id, 0)), row.reason)
     return table, counts
 
 

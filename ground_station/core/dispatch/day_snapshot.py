@@ -57,9 +57,9 @@ class DaySnapshot:
     `plan_inputs_comparison_key`. `pad_wait_s`: by assignment, how long a drone on its pad has not
     been ready. `wind_deviation_sigmas`: distance of the measured wind from the planned one, in the
     forecast's standard deviations. `desk_start_s`: start of this desk. `drones_on_hold`: drones
-    under a hold. `closed_assignments`: assignments on the ground whose launch the forecast has
-    closed for the rest of the day, with the reason. `plan_closing_text`: the part of the plan that
-    the forecast closes; empty: none.
+    under a hold, `drones_out_of_service`: of them those that no plan uses. `closed_assignments`:
+    assignments on the ground whose launch the forecast has closed for the rest of the day, with the
+    reason. `plan_closing_text`: the part of the plan that the forecast closes; empty: none.
     """
 
     now_s: float
@@ -81,6 +81,7 @@ class DaySnapshot:
     wind_deviation_sigmas: float = 0.0
     desk_start_s: float = 0.0
     drones_on_hold: frozenset[str] = frozenset()
+    drones_out_of_service: frozenset[str] = frozenset()
     closed_assignments: Mapping[str, str] = field(default_factory=dict)
     plan_closing_text: str = ""
 
@@ -144,6 +145,8 @@ class DaySnapshot:
         """Return the cause of a drone's removal from service; None: it is in service."""
         if self.drone_status(vehicle).doubtful:
             return "doubtful"
+        if vehicle in self.drones_out_of_service:
+            return "by a person"
         own_sorties = [row for row in self.sorties if row.vehicle == vehicle]
         for row in own_sorties:
             if row.unavailability_reason:

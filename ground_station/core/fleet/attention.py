@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from ground_station.core.fleet.risk_words import format_loss
+from ground_station.core.schema.holds import Handover
 
 HYSTERESIS_FRAC = 0.2
 FRONT, STORE, DESK, ROSTER, CERTIFICATES = "wind", "store", "desk", "roster", "certificates"
+HANDOVER = "handover"
 
 
 class Level(IntEnum):
@@ -94,6 +96,8 @@ class FleetFacts:
     idle_reasons: Mapping[str, str] = field(default_factory=dict)
     late: Mapping[str, str] = field(default_factory=dict)
     held: Collection[str] = ()
+    out_of_service: Mapping[str, str] = field(default_factory=dict)
+    handover: Handover | None = None
     desk_silence_s: float | None = None
     desk_alarm: str = ""
     store_error: str = ""
@@ -107,6 +111,7 @@ def attention_items(
     facts: FleetFacts, limits: AttentionLimits, active_keys: Collection[str] = ()
 ) -> list[AttentionItem]:
     """Return the list, by level and then in the order of the causes."""
+    out = facts.out_of_service
     items = [
         *_ground_station_items(facts),
         *(
@@ -117,8 +122,12 @@ def attention_items(
         *(_launch_item(launch, limits) for launch in facts.launches),
         *(_stuck_item(order, reason) for order, reason in facts.stuck),
         *(_late_item(order, text) for order, text in facts.late.items()),
+        *_handover_items(facts.handover),
         *_wind_items(facts.fronts, facts.stations),
-        *_idle_items(facts.idle_reasons, facts.held),
+        *_idle_items(out, facts.held, "is out of service"),
+        *_idle_items(
+            {name: text for name, text in facts.idle_reasons.items() if name not in out}, facts.held
+        ),
     ]
     return sorted(_without_repeated_keys(items), key=lambda item: item.level)
 
@@ -231,7 +240,7 @@ def _launch_item(launch: LaunchFacts, limits: AttentionLimits) -> AttentionItem:
 
 
 def _stuck_item(order: str, reason: str) -> AttentionItem:
-    actions = tuple(f"settle {end}" for end in ("delivered", "lost", "back"))
+    actions = *(f"settle {end}" for end in ("delivered", "lost", "back")), "return"
     text = f"{reason}. Where is the parcel?"
     return AttentionItem(
         f"stuck {order}", Level.YOUR_TURN, order, f"{order} is stuck", text, (*actions, "show")
@@ -247,6 +256,16 @@ def _late_item(order: str, text: str) -> AttentionItem:
     )
 
 
+def _handover_items(handover: Handover | None) -> Iterator[AttentionItem]:
+    if handover is None or handover.accepted_by:
+        return
+    text = "; ".join(f"{note.by}: {note.text}" for note in handover.notes)
+    title, actions = f"{handover.by} has handed over the shift", ("show", "accept")
+    text = f"At {{at}}. {text.rstrip('.')}."
+    times_us = {"at": handover.at_us}
+    yield AttentionItem(HANDOVER, Level.YOUR_TURN, HANDOVER, title, text, actions, times_us)
+
+
 def _wind_items(fronts: Sequence[str], stations: Sequence[str]) -> Iterator[AttentionItem]:
     if fronts:
         title, actions = "A wind front approaches", ("hold_all",)
@@ -256,10 +275,12 @@ def _wind_items(fronts: Sequence[str], stations: Sequence[str]) -> Iterator[Atte
         yield AttentionItem("stations", Level.CAUTION, FRONT, title, "; ".join(stations), ())
 
 
-def _idle_items(reasons: Mapping[str, str], held: Collection[str]) -> Iterator[AttentionItem]:
+def _idle_items(
+    reasons: Mapping[str, str], held: Collection[str], what: str = "gets no orders"
+) -> Iterator[AttentionItem]:
     for name, reason in reasons.items():
         actions = ("release", "show") if name in held else ("show",)
-        title = f"{name} gets no orders"
+        title = f"{name} {what}"
         yield AttentionItem(
             f"idle {name}", Level.YOUR_TURN, name, title, f"{reason.rstrip('.')}.", actions
         )

@@ -29,6 +29,7 @@ from companion.fleet.messages import (
     SetLimits,
     Withdraw,
 )
+from ground_station.core.schema.holds import raise_if_invalid_pack_name
 
 TRUCK = "truck"
 """Airframe name of every truck, and the member's name of the day's truck."""
@@ -110,6 +111,7 @@ class DriverReport(msgspec.Struct, frozen=True):
     outcome: str | None = None
     delivered: bool | None = None
     home: bool | None = None
+    fitted_pack: str | msgspec.UnsetType = msgspec.UNSET
 
 
 def apply_command(truck: TruckState, command: CommandAction) -> tuple[TruckState, CommandReply]:
@@ -179,14 +181,20 @@ def _try_add_task(truck: TruckState, task: Task) -> tuple[TruckState, CommandRep
 
 
 def confirm_task(
-    truck: TruckState, task: Task, *, is_parcel_dropped: bool | None = None
+    truck: TruckState,
+    task: Task,
+    *,
+    is_parcel_dropped: bool | None = None,
+    pack: str | msgspec.UnsetType = msgspec.UNSET,
 ) -> tuple[TruckState, DriverReport]:
     """Return the truck after a completed task, and the report.
 
-    `is_parcel_dropped`: whether the parcel to look for has left the drone. Raises LeewayError if
-    there is no such task, or `is_parcel_dropped` is missing.
+    `is_parcel_dropped`: whether the parcel to look for has left the drone. `pack`: fitted to a
+    recovered drone. Raises LeewayError if there is no such task, or a value is missing or wrong.
     """
     after = _remove_task(truck, task)
+    if pack is not msgspec.UNSET:
+        raise_if_invalid_pack_name(pack)
     if task.parcel is not None and is_parcel_dropped is None:
         raise LeewayError(f"parcel {task.parcel}: expected whether it is gone or still on it")
     match task.kind:
@@ -207,9 +215,8 @@ def confirm_task(
                 if task.parcel is None
                 else {"order": task.parcel, "delivered": is_parcel_dropped}
             )
-            report = DriverReport(
-                EventKind.RECOVERED, f"{task.vehicle} recovered", task.id, **found
-            )
+            text = f"{task.vehicle} recovered" + (f", pack {pack} fitted" if pack else "")
+            report = DriverReport(EventKind.RECOVERED, text, task.id, **found, fitted_pack=pack)
     return _replace(after, done=[*after.done, _task_key(task)][-MAX_DONE_TASKS:]), report
 
 

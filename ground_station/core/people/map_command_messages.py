@@ -22,10 +22,14 @@ class RecallDrone(_WebCommand, frozen=True, kw_only=True, tag="recall"):
 
 
 class HoldDrone(_WebCommand, frozen=True, kw_only=True, tag="hold"):
-    """Hold one drone or all drones on the ground."""
+    """Hold one drone or all drones on the ground. `is_out`: the drone is out of service; its order
+    on the ground goes to another one. `spare`: a drone that joins in its place.
+    """
 
     reason: Reason
     vehicle: Name | None = None
+    is_out: bool = msgspec.field(default=False, name="out_of_service")
+    spare: Name | None = None
 
 
 class ReleaseDrone(_WebCommand, frozen=True, kw_only=True, tag="release"):
@@ -35,9 +39,10 @@ class ReleaseDrone(_WebCommand, frozen=True, kw_only=True, tag="release"):
 
 
 class ConfirmLaunch(_WebCommand, frozen=True, kw_only=True, tag="confirm"):
-    """Permit one launch of the drone with this order."""
+    """Permit one launch of the drone with this order. `pack`: fitted to it."""
 
     order: Name
+    pack: Name | None = None
 
 
 class SettleOrder(_WebCommand, frozen=True, kw_only=True, tag="settle"):
@@ -73,11 +78,33 @@ class ChangeOrder(_WebCommand, frozen=True, kw_only=True, tag="change"):
 
 
 class CancelOrder(_WebCommand, frozen=True, kw_only=True, tag="cancel"):
-    """Cancel an order that is not in the air; on the ground its assignment is withdrawn."""
+    """Cancel an order that is not in the air; on the ground its assignment is withdrawn.
+    `to_sender`: its parcel goes back to the sender.
+    """
 
     order: Name
     reason: Reason
+    to_sender: bool = False
+
+
+class HandOver(_WebCommand, frozen=True, kw_only=True, tag="hand_over"):
+    """Hand over the shift, with a note for the next dispatcher."""
+
+    note: Reason
+
+
+class AcceptHandover(_WebCommand, frozen=True, kw_only=True, tag="accept"):
+    """Accept the shift that another dispatcher has handed over."""
 
 
 OrderCommand = AddOrder | ImportOrders | ChangeOrder | CancelOrder
-WebCommand = RecallDrone | HoldDrone | ReleaseDrone | ConfirmLaunch | SettleOrder | OrderCommand
+ShiftCommand = HandOver | AcceptHandover
+WebCommand = (
+    RecallDrone
+    | HoldDrone
+    | ReleaseDrone
+    | ConfirmLaunch
+    | SettleOrder
+    | OrderCommand
+    | ShiftCommand
+)

@@ -1,8 +1,11 @@
 """A day with the contents of its files."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from companion.core.base.geo import LocalFrame, Obstacle, location_to_ground_ned_m
 from companion.core.base.geo_zones import GroundBounds
@@ -54,3 +57,13 @@ class DayData:
             return self.elevation.bounds_around_m(frame, positions)
         ground = self.day.depot.stated_plane
         return None if ground is None else ground.plane_bounds_m(positions)
+
+
+def data_with_spares(data: DayData, spares: Mapping[str, str]) -> DayData:
+    """Return the data with spare drones, each like the drone of the day whose place it has."""
+    drones = [*data.day.drones]
+    for name, place in spares.items():
+        drone = data.day.find_drone(place)
+        if drone is not None and data.day.find_drone(name) is None:
+            drones.append(msgspec.structs.replace(drone, id=name))
+    return replace(data, day=msgspec.structs.replace(data.day, drones=drones))

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from datetime import UTC, datetime
 from enum import Enum
 
-from ground_station.core.schema.order_states import OrderState
+from ground_station.core.schema.order_states import CLOSED, OrderState
 from ground_station.core.schema.order_window import format_window
 from ground_station.core.schema.orders import AssignmentState, Order
 
@@ -22,7 +22,7 @@ class OrderStage(Enum):
     ON_GROUND = "assigned, on the ground"
     WITHDRAWING = "being withdrawn from its vehicle"
     IN_AIR = "in the air, or its launch is ordered"
-    CLOSED = "delivered or cancelled"
+    CLOSED = "delivered, cancelled or returned"
 
 
 CHANGEABLE = {
@@ -48,7 +48,7 @@ def order_stage(
     state: OrderState, assignment: AssignmentState | None, *, launch_ordered: bool
 ) -> OrderStage:
     """Return the stage of an order. `assignment`: the state of the one in force."""
-    if state in (OrderState.DELIVERED, OrderState.CANCELLED):
+    if state in CLOSED:
         return OrderStage.CLOSED
     if state is not OrderState.ASSIGNED:
         return OrderStage(state.value)

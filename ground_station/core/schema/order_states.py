@@ -28,7 +28,8 @@ class ParcelOutcome(Enum):
 
 class OrderState(Enum):
     """State of an order. `stuck` needs an operator: too many attempts, vehicle lost or landed
-    elsewhere by a pilot, or no proof of the drop.
+    elsewhere by a pilot, no proof of the drop, or no delivery by the driver. `returned`: goes back
+    to its sender.
     """
 
     OPEN = "open"
@@ -36,3 +37,8 @@ class OrderState(Enum):
     DELIVERED = "delivered"
     STUCK = "stuck"
     CANCELLED = "cancelled"
+    RETURNED = "returned"
+
+
+CLOSED = (OrderState.DELIVERED, OrderState.CANCELLED, OrderState.RETURNED)
+"""States in which no vehicle gets an order."""

@@ -251,17 +251,17 @@ def order_state_after_assignment(
     assignment_state: AssignmentState,
     delivered: bool,
     attempts: int,
-    is_not_known_home: bool = False,
+    waits_for_person: bool = False,
 ) -> OrderState:
     """Return the state of an order after the end of its assignment.
 
-    A parcel on a lost vehicle, or one not known to be home (`is_not_known_home`: it may have been
-    dropped, or is where a pilot landed it), is not sent again automatically: an operator checks and
-    decides.
+    A parcel on a lost vehicle, or one that `waits_for_person` (it may have been dropped, is where a
+    pilot landed it, or the driver could not deliver it), is not sent again automatically: an
+    operator checks and decides.
     """
     if delivered or assignment_state is AssignmentState.DELIVERED:
         return OrderState.DELIVERED
-    if assignment_state is AssignmentState.LOST or is_not_known_home:
+    if assignment_state is AssignmentState.LOST or waits_for_person:
         return OrderState.STUCK
     if assignment_state is AssignmentState.WITHDRAWN:
         return OrderState.OPEN

@@ -18,12 +18,14 @@ from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.shift.days import read_spares
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.desk.depot_dispatcher import MAX_REFUSED_LAUNCHES, DepotParams
 from ground_station.app.desk.open_desk import open_depot_desk
-from ground_station.app.desk.operator_commands import cancel_order
+from ground_station.app.desk.operator_commands import cancel_order, take_out_of_service
 from ground_station.app.views.day_content import read_display_rows
 from ground_station.app.views.watch_view import watch_view
+from ground_station.core.schema.day_data import data_with_spares
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderState
 from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 
@@ -78,7 +80,8 @@ class Ground:
         self.store = Store(Database(f"sqlite:///{folder}/desk.db"), lambda: 1)
         self._fleet = ZenohFleet(FLEET, config)
         given = DepotParams(**({"launch_gap_s": 0.0} | params))
-        self.desk = open_depot_desk(DAY, self.store, self._fleet, self.said.append, given)
+        day = data_with_spares(DAY, read_spares(self.store.database))
+        self.desk = open_depot_desk(day, self.store, self._fleet, self.said.append, given)
         self.desk.start_dispatching()
 
     def until(self, true: Callable[[], Any]) -> None:
@@ -172,6 +175,32 @@ def test_nobody_is_launched_without_a_person_and_each_word_is_for_one_launch(day
     ground.until(lambda: "d1: launch of H-101.1 ordered, confirmed by anna" in ground.said)
     ground.until(lambda: ground.said.count(asks) == 2)  # it returned and needs confirmation again
     assert drone.launches() == ["H-101.1"]
+
+
+def test_the_order_of_a_broken_drone_is_delivered_once_by_a_spare_of_another_name(day):
+    make_ground, make_vehicle = day
+    ground, broken = make_ground(requires_confirmation=True), make_vehicle("d1")
+    ground.store.add_orders_unless_conflict(DAY.orders[:1])
+    ground.until(lambda: broken.phase == "ready" and ground.said[-1].startswith("d1: ready"))
+    broken.close()  # no power: it confirms nothing
+    spare = make_vehicle("d9")
+    given = (ground.store, lambda: 1, "d1", "motor")
+    report = take_out_of_service(*given, "anna", "d9")
+    assert report.messages == [
+        "d1 is out of service: motor; d9 is in its place",
+        "H-101 is withdrawn and goes to another drone",
+        "d9 gets orders when it is on standby at the depot or on the truck",
+    ]
+    ground.until(lambda: ground.desk.has_new_spare)
+    ground.close()  # `dispatch` opens the desk again
+    ground = make_ground()
+    assert not ground.desk.has_new_spare
+    ground.until(lambda: ground.orders(OrderState.DELIVERED) == {"H-101"})
+    assert spare.launches() == ["H-101.2"]
+    rows = read_display_rows(ground.store, DayStore(ground.store.database, lambda: 1), 1)
+    assert rows.spares == {"d9": "d1"}
+    take_out_of_service(ground.store, lambda: 1, "d9", "also broken", "ben", "d8")
+    assert read_spares(ground.store.database) == {"d9": "d1", "d8": "d1"}  # of an airframe known
 
 
 def test_an_order_cancelled_on_its_drone_is_withdrawn_from_it_and_the_drone_gets_the_next(day):

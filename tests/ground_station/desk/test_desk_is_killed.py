@@ -47,9 +47,14 @@ from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.settle import close_order_with_outcome
-from ground_station.app.desk.operator_commands import cancel_order, change_order
+from ground_station.app.desk.operator_commands import (
+    cancel_order,
+    change_order,
+    clear_holds,
+    take_out_of_service,
+)
 from ground_station.core.schema.holds import ALL_DRONES
-from ground_station.core.schema.order_states import OrderState, ParcelOutcome
+from ground_station.core.schema.order_states import CLOSED, OrderState, ParcelOutcome
 from ground_station.core.schema.orders import Order
 from tests.fleet.secure_site import YEAR_DAYS, SecureSite
 from tests.fleet.zenoh_net import AT_HARBOUR, Vehicle
@@ -270,7 +275,7 @@ class Site:
 
     def disturb(self) -> None:
         time.sleep(float(self.rng.uniform(2.0, 7.0)))
-        match int(self.rng.integers(6)):
+        match int(self.rng.integers(7)):
             case 0:
                 self.kill_desk()
                 time.sleep(float(self.rng.uniform(0.0, 2.0)))
@@ -280,7 +285,21 @@ class Site:
             case 2:
                 self.cut({str(self.rng.choice(DRONES))}, float(self.rng.uniform(5.0, 60.0)))
             case 3:
-                self.as_person(lambda s, id_: cancel_order(s, lambda: 1, id_, "anna", "lost"))
+                back = bool(self.rng.integers(2))
+                self.as_person(
+                    lambda store, id_: cancel_order(
+                        store, lambda: 1, id_, "anna", "nobody there", to_sender=back
+                    )
+                )
+            case 6:
+                broken = str(self.rng.choice(DRONES))
+                self.as_person(
+                    lambda store, _: take_out_of_service(
+                        store, lambda: 1, broken, "motor", "anna", None
+                    )
+                )
+                time.sleep(float(self.rng.uniform(0.0, 4.0)))
+                self.as_person(lambda store, _: clear_holds(store, lambda: 1, [broken], "anna"))
             case 4:
                 cells = {"lat_deg": f"{self.rng.uniform(55.4700, 55.4704):.7f}", "mass_kg": "0.3"}
                 self.as_person(
@@ -312,16 +331,16 @@ class Site:
         self.restore_older_copy(0)
 
     def complete(self) -> None:
-        """Wait until each order is delivered or cancelled; settle by truth what the desk lists."""
+        """Wait until each order is closed; settle by truth what the desk lists."""
         limit_s = time.monotonic() + PATIENCE_S
         store = Store(Database(self.url), lambda: 1)
         try:
             while True:
                 rows = store.orders()
-                ends = OrderState.DELIVERED, OrderState.CANCELLED
-                waiting = [r for r in rows if r.state not in ends]
+                waiting = [r for r in rows if r.state not in CLOSED]
                 if not waiting:
-                    self.cancelled = {r.order.id for r in rows if r.state is OrderState.CANCELLED}
+                    done = OrderState.DELIVERED
+                    self.cancelled = {r.order.id for r in rows if r.state is not done}
                     return
                 lines = [line for line in self.log().splitlines() if "order settle" in line]
                 for row in waiting:

@@ -13,6 +13,7 @@ from ground_station.adapters.files.day_files import write_day_plan
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.shift.days import begin_day
 from ground_station.core.schema.orders import OrderState
 from tests.fleet.zenoh_net import config_file, free_port
 from tests.ground_station.hand_made_day import PLAN, stop
@@ -91,3 +92,38 @@ def test_a_driver_with_the_enter_key_and_a_desk_that_is_killed_bring_the_day_hom
             if process.stdin is not None:
                 process.stdin.close()
         store.close()
+
+
+def test_a_running_desk_takes_a_spare_into_its_day_and_ends_with_the_day(tmp_path):
+    url, zenoh = (
+        f"sqlite:///{tmp_path}/desk.db",
+        config_file(tmp_path / "z.json5", listen=free_port()),
+    )
+    desk = start(tmp_path, "dispatch", "harbour", f"--store={url}", f"--zenoh={zenoh}")
+    words = ("hold", "d1", "--reason=motor", "--out-of-service", "--spare=d9", f"--store={url}")
+    log = tmp_path / "dispatch.out"
+
+    def until_dispatching(times: int) -> None:
+        until_s = time.monotonic() + PATIENCE_S
+        while log.read_text().count("dispatching harbour") < times:
+            assert desk.poll() is None, log.read_text()
+            assert time.monotonic() < until_s, log.read_text()
+            time.sleep(0.1)
+
+    try:
+        until_dispatching(1)
+        assert start(tmp_path, *words).wait(PATIENCE_S) == 0
+        until_dispatching(2)
+        store = Store(Database(url), lambda: 1)
+        begin_day(store.database, lambda: 1, "2999-01-01", "anna")
+        assert desk.wait(PATIENCE_S) == 2  # it has the data of another day
+        store.close()
+        assert "a new day has begun while this desk ran" in log.read_text()
+        again = start(
+            tmp_path, "dispatch", "harbour", "--new-day", f"--store={url}", f"--zenoh={zenoh}"
+        )
+        assert again.wait(PATIENCE_S) == 2
+        assert "the store's day is 2999-01-01: check the clock" in log.read_text()
+    finally:
+        desk.kill()
+        desk.wait()

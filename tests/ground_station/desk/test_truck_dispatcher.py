@@ -21,7 +21,11 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.settle import close_order_with_outcome
 from ground_station.app.desk.desk import Desk
 from ground_station.app.desk.open_desk import open_truck_desk
-from ground_station.app.desk.operator_commands import cancel_order, change_order
+from ground_station.app.desk.operator_commands import (
+    cancel_order,
+    change_order,
+    take_out_of_service,
+)
 from ground_station.app.desk.replanner import NoPlan, Replanner, create_inline_planner
 from ground_station.app.desk.truck_dispatcher import TruckDispatcher
 from ground_station.core.dispatch.dispatch_rules import DispatchParams
@@ -555,6 +559,25 @@ def test_an_order_cancelled_on_the_ground_is_not_delivered_and_the_day_goes_on(d
     assert row.state is AssignmentState.WITHDRAWN
     assert row.id not in told.world.flown
     assert told.world.on_truck == {"d1", "d2"}
+
+
+@pytest.mark.parametrize("is_on_pad", [False, True])
+def test_the_plan_of_a_broken_drone_is_made_again_without_it(day, is_on_pad):
+    told = day(14)
+    while is_on_pad and not any(
+        row.put_on_pad and row.vehicle == "d1" for row in told.dispatcher.day.sorties()
+    ):
+        told.world.step()
+        told.desk.run_cycle(0.0)
+    given = (told.store, told.world.clock.epoch_us, "d1", "motor", "anna", None)
+    take_out_of_service(*given)
+    told.run()
+    assert "replanning: d1 is out of service (by a person)" in told.said
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+    assert all(row.vehicle != "d1" for row in told.store.assignments() if row.delivered)
+    assert told.world.on_truck == {"d1", "d2"}
+    with pytest.raises(LeewayError, match="expected a drone, not the truck"):
+        take_out_of_service(told.store, lambda: 1, "truck", "flat tyre", "anna", None)
 
 
 def test_neither_drone_nor_driver_delivers_before_a_window(day, monkeypatch):

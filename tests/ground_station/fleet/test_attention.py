@@ -92,7 +92,8 @@ def test_the_worst_is_first_and_each_cause_is_one_item():
         vehicles=[flying("d2", spare_wh=5.0), flying("d1", contact_age_s=24.0)],
         launches=[LaunchFacts("T-1", "d6", "1 in 2,400")],
         stuck=[("T-2", "drop not proven"), ("T-2", "drop not proven")],
-        idle_reasons={"d7": "34 m from the depot's pad"},
+        idle_reasons={"d7": "34 m from the depot's pad", "d8": "d8 is held"},
+        out_of_service={"d8": "d8 is held by anna: out of service: motor"},
         desk_silence_s=20.0,
         desk_alarm="no heartbeat of desk for 20 s",
     )
@@ -104,6 +105,7 @@ def test_the_worst_is_first_and_each_cause_is_one_item():
         "d2 has 5 Wh to spare",
         "d6 waits for your launch",
         "T-2 is stuck",
+        "d8 is out of service",
         "d7 gets no orders",
     ]
     assert items[3].text == "Order T-1. Risk 1 in 2,400 (limit 1 in 100)."

@@ -5,14 +5,17 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from companion.fleet.messages import CommandStatus, Launch, LaunchWindow
+from companion.core.base.errors import LeewayError
+from companion.fleet.messages import CommandStatus, Launch, LaunchWindow, Withdraw
 from ground_station.adapters.store import hold_steps, hold_store
+from ground_station.adapters.store.audit_store import read_audit_rows_and_head
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.launch_store import (
     count_refused_launches,
     stamp_and_mark_launch_sent,
 )
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.orders.out_of_service import take_out_of_service
 from ground_station.core.schema.holds import ALL_DRONES
 from ground_station.core.schema.orders import AssignmentState, CommandRow
 from tests.ground_station.store.test_order_store import FLIGHT, an_order, opened
@@ -240,3 +243,43 @@ def test_who_lifts_only_its_own_holds_leaves_a_persons_in_force(store_url: str):
         }  # fmt: skip
         assert holds.clear_holds(["d1"], "desk-wind", only_placed_by_actor=True) == []
         assert [hold.by for hold in holds.clear_holds(["d1"], "ben")] == ["anna"]
+
+
+@pytest.mark.parametrize("launched", ["not", "ordered", "sent"])
+def test_a_drone_out_of_service_loses_its_order_unless_it_may_have_started(store_url, launched):
+    with opened(store_url) as store:
+        store.add_orders_unless_conflict([an_order("o1"), an_order("o2")])
+        id_ = aboard(store)
+        if launched != "not":
+            assert store.launch(id_, "desk")
+        if launched == "sent":
+            assert left_desk(store, store.outbox()[-1])
+        done = take_out_of_service(store.database, lambda: 1, "d1", "motor", "anna", "d9")
+        (hold,) = store.holds_in_force()
+        assert (hold.text, hold.is_out_of_service) == (
+            "d1 is held by anna: out of service: motor; d9 is in its place",
+            True,
+        )
+        if launched == "sent":
+            assert done[1] == "o1 is in the air, or its launch was sent: recall d1"
+            assert [row.state for row in store.assignments()] == [AssignmentState.UPLOADED]
+            return
+        assert store.assign_order("o2", "d1", FLIGHT, None, "desk") is None
+        assert store.assign_order("o1", "d9", FLIGHT, None, "desk") == "o1.2"
+        assert [row.command for row in store.outbox() if row.vehicle == "d1"] == [
+            Withdraw(assignment="o1.1")
+        ]
+        for command in store.outbox():  # d1 is on again, and refuses
+            store.record_and_apply_response(command.id, CommandStatus.REFUSED, "", "life")
+        first, second = store.assignments()
+        assert (first.state, second.vehicle) == (AssignmentState.WITHDRAWN, "d9")
+        rows, _ = read_audit_rows_and_head(store.database)
+        said = {(row.entry.who, row.entry.deed, row.entry.subject) for row in rows}
+        assert {("anna", "hold", "d1"), ("anna", "spare", "d9")} <= said
+
+
+def test_a_spare_is_another_drone(store):
+    for spare in ("d1", "no name"):
+        with pytest.raises(LeewayError, match=spare):
+            take_out_of_service(store.database, lambda: 1, "d1", "motor", "anna", spare)
+    assert store.holds_in_force() == []

@@ -9,13 +9,19 @@ from typer.testing import CliRunner
 from companion.core.base.errors import LeewayError
 from companion.core.mission.event_text import DecisionEvent
 from companion.fleet.messages import CommandStatus, EventKind, FleetEvent, Withdraw
+from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.orders.order_history import delivery_proofs, read_order_history
+from ground_station.adapters.store.past_store import PastStore
 from ground_station.app.cli.main import app
 from ground_station.app.desk.operator_commands import cancel_order, change_order
+from ground_station.app.map.day_pictured import orders_shown
+from ground_station.app.map.manifest import manifest_rows
+from ground_station.app.views.day_content import read_display_rows
 from ground_station.app.views.day_report import day_report_of, report_tables
 from ground_station.app.views.order_view import order_record
 from ground_station.app.views.terminal import plain_console
+from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import AssignmentState, HistoryEntry, OrderState
 from tests.ground_station.store.test_order_store import (
     FLIGHT,
@@ -31,8 +37,9 @@ def change(store: Store, order: str = "o1", **cells: str) -> str:
     return change_order(store, lambda: 7, order, cells, "anna").messages[0]
 
 
-def cancel(store: Store) -> str:
-    return cancel_order(store, lambda: 8, "o1", "anna", "customer asked").messages[0]
+def cancel(store: Store, *, to_sender: bool = False) -> str:
+    reason = "customer asked"
+    return cancel_order(store, lambda: 8, "o1", "anna", reason, to_sender=to_sender).messages[0]
 
 
 def a_store_with(store: Store, stage: str) -> None:
@@ -78,8 +85,8 @@ PLACE = {"lat_deg": "55.001", "lon_deg": "8", "alt_amsl_m": "4"}
         ("in the air", CONTACT, ""),
         ("in the air", WINDOW, "in the air, .*: window cannot change, only address, customer"),
         ("in the air", MASS, "in the air, .*: mass cannot change"),
-        ("delivered", CONTACT, "delivered or cancelled: .* cannot change$"),
-        ("cancelled", WINDOW, "delivered or cancelled: window cannot change$"),
+        ("delivered", CONTACT, "delivered, cancelled or returned: .* cannot change$"),
+        ("cancelled", WINDOW, "delivered, cancelled or returned: window cannot change$"),
     ],
 )
 def test_a_field_changes_in_the_states_that_permit_it(store_url, stage, cells, refusal):
@@ -127,8 +134,8 @@ def test_a_new_place_withdraws_an_assignment_on_the_ground_and_the_order_is_assi
             "in the air",
             "in the air, .*: recall d1; once it has landed, cancel the order, or settle",
         ),
-        ("delivered", "delivered or cancelled: cannot be cancelled"),
-        ("cancelled", "delivered or cancelled: cannot be cancelled"),
+        ("delivered", "delivered, cancelled or returned: cannot be cancelled"),
+        ("cancelled", "delivered, cancelled or returned: cannot be cancelled"),
     ],
 )
 def test_an_order_is_cancelled_unless_it_is_in_the_air_or_closed(store_url, stage, refusal):
@@ -149,12 +156,16 @@ def test_an_order_is_cancelled_unless_it_is_in_the_air_or_closed(store_url, stag
         assert states(store) == {"o1": OrderState.CANCELLED}
 
 
+@pytest.mark.parametrize("to_sender", [False, True])
 @pytest.mark.parametrize("response", [CommandStatus.DONE, CommandStatus.REFUSED])
-def test_a_cancelled_order_is_withdrawn_and_its_vehicle_gets_another(store_url, response):
+def test_a_cancelled_order_is_withdrawn_and_its_vehicle_gets_another(
+    store_url, response, to_sender
+):
+    end = OrderState.RETURNED if to_sender else OrderState.CANCELLED
     with opened(store_url) as store:
         a_store_with(store, "assigned")
         store.add_orders_unless_conflict([an_order("o2")])
-        assert cancel(store) == "o1: cancelled, withdrawn from d1"
+        assert cancel(store, to_sender=to_sender) == f"o1: {end.value}, withdrawn from d1"
         (command,) = store.outbox()
         assert (command.vehicle, command.command) == ("d1", Withdraw(assignment="o1.1"))
         assert store.assign_order("o2", "d1", FLIGHT, None, "desk") is None
@@ -165,11 +176,50 @@ def test_a_cancelled_order_is_withdrawn_and_its_vehicle_gets_another(store_url, 
             store.record_event_batches([([an_outcome("o1.1", "SUC")], False)])
             assert states(store)["o1"] is OrderState.DELIVERED
             return
-        assert states(store)["o1"] is OrderState.CANCELLED
+        assert states(store)["o1"] is end
         assert store.assign_order("o1", "d1", FLIGHT, None, "desk") is None
         assert store.assign_order("o2", "d1", FLIGHT, None, "desk") is not None
         ends = [entry.text for entry in read_order_history(store.database, "o1")]
-        assert "withdrawn: the order was cancelled by anna" in ends
+        assert f"withdrawn: the order was {end.value} by anna" in ends
+
+
+def test_a_parcel_that_no_customer_took_goes_to_its_sender_once_and_is_counted(tmp_path: Path):
+    url = f"sqlite:///{tmp_path}/d.db"
+    with opened(url) as store:
+        a_store_with(store, "in the air")
+        with pytest.raises(LeewayError, match="recall d1"):
+            cancel(store, to_sender=True)
+        store.record_event_batches([([an_outcome("o1.1", "ABRT")], False)])  # home, with its parcel
+        assert states(store) == {"o1": OrderState.OPEN}
+        id_ = DayStore(store.database, lambda: 1).order_delivery("o1", "desk")
+        failed = an_outcome(id_ or "", "ABRT", seq=1, vehicle=TRUCK)
+        store.record_event_batches([([failed], False)])  # x 1 REASON: a person decides
+        assert states(store) == {"o1": OrderState.STUCK}
+        assert cancel(store, to_sender=True) == "o1: returned"
+        for vehicle in ("d1", "d2"):
+            assert store.assign_order("o1", vehicle, FLIGHT, None, "desk") is None
+        report = day_report_of(store)
+        assert report["orders"] == {"returned": 1}
+        assert report["returned"][0] | {"why": ""} == {
+            "order": "o1", "state": "returned", "why": "", "attempts": 2,
+        }  # fmt: skip
+        assert HistoryEntry(8, "anna", "returned: customer asked") in read_order_history(
+            store.database, "o1"
+        )
+        change_text = "delivered, cancelled or returned: cannot be cancelled"
+        with pytest.raises(LeewayError, match=change_text):
+            cancel(store)
+        rows = read_display_rows(store, DayStore(store.database, lambda: 1), 9)
+        (row,) = manifest_rows(None, orders_shown(rows))
+        assert (row.does, row.order, row.drone) == ("return to sender", "o1", None)
+        past = PastStore(store.database).orders_at(10)
+        assert past[0].state is OrderState.RETURNED
+    back = ("settle", "o1", "--back", "--reason", "customer is home", "--user", "ben")
+    assert CliRunner().invoke(app, ["order", *back, "--store", url]).exit_code == 0
+    again = ("cancel", "o1", "--to-sender", "--reason", "pad blocked", "--user", "ben")
+    assert "returned" in CliRunner().invoke(app, ["order", *again, "--store", url]).output
+    with opened(url) as store:
+        assert states(store) == {"o1": OrderState.RETURNED}
 
 
 def test_an_empty_cell_removes_a_value_and_a_wrong_one_changes_nothing(store_url):

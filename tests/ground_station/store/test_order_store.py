@@ -301,7 +301,7 @@ def test_a_store_of_another_schema_is_left_alone(tmp_path):
     with sqlite3.connect(path) as raw:
         raw.execute("UPDATE about SET value = '9'")
     raw.close()
-    with pytest.raises(StoreError, match="schema 9, expected 3"):
+    with pytest.raises(StoreError, match="schema 9, expected 4"):
         Database(f"sqlite:///{path}")
 
 

@@ -49,7 +49,7 @@ def upgraded(url: str) -> str:
 def test_a_desk_leaves_an_older_store_alone_and_says_what_to_do(store_url: str):
     url = of_schema_2(store_url)
     with pytest.raises(
-        StoreError, match="schema 2, expected 3: run `ground-station store upgrade`"
+        StoreError, match="schema 2, expected 4: run `ground-station store upgrade`"
     ):
         Database(url)
 
@@ -98,7 +98,7 @@ def test_the_command_keeps_a_copy_of_the_store_as_it_was(tmp_path: Path):
     code, said = ground_station(
         "store", "upgrade", "--store", url, "--backup", str(tmp_path / "old.db"), "--user", "anna"
     )
-    assert (code, said.startswith("upgraded from schema 2 to 3")) == (0, True)
+    assert (code, said.startswith("upgraded from schema 2 to 4")) == (0, True)
     with pytest.raises(StoreError, match="schema 2"):
         Database(f"sqlite:///{tmp_path}/old.db", create=False)
     assert ground_station("audit", "--verify", "--store", url)[0] == 0

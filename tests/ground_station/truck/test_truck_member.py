@@ -143,16 +143,23 @@ def test_a_drone_is_not_aboard_before_its_parcel_has_been_looked_for(terminal, g
     assert told == [("o2", gone)]
 
 
-@pytest.mark.parametrize(("typed", "gone"), [("1 gone", True), ("1 aboard", False)])
-def test_what_the_driver_types_tells_where_the_parcel_is(terminal, typed, gone):
+@pytest.mark.parametrize(
+    ("typed", "gone", "pack"),
+    [("1 gone", True, None), ("1 aboard", False, None), ("1 gone P7", True, "P7")],
+)
+def test_what_the_driver_types_tells_where_parcel_and_pack_are(terminal, typed, gone, pack):
     truck, console = terminal(), Console(file=io.StringIO())
     truck.ask(msgspec.structs.replace(BACK, parcel="o2"), "c1")
-    for line in ("", "1 maybe", "2 gone", "gone"):
+    for line in ("", "1 maybe", "2 gone", "gone", "1 gone P7 P8", "1 gone -"):
         execute_driver_input(truck.port, line, console)
         assert len(truck.port.tasks) == 1, line
     execute_driver_input(truck.port, typed, console)
-    told = [e.delivered for e in truck.wire.events if e.kind is EventKind.RECOVERED]
-    assert told == [gone]
+    told = [
+        (e.delivered, e.fitted_pack or None)
+        for e in truck.wire.events
+        if e.kind is EventKind.RECOVERED
+    ]
+    assert told == [(gone, pack)]
 
 
 def test_a_terminal_that_is_killed_knows_what_was_to_be_done_and_what_was(terminal):

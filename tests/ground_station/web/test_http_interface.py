@@ -57,8 +57,25 @@ def test_every_reply_fits_its_schema(desk: Desk) -> None:
         ({"do": "cancel", "order": "nosuch", "reason": "test"}, 409),
         ({"do": "fly"}, 400),
         ({"do": "hold", "vehicle": "d2"}, 400),
+        ({"do": "hold", "vehicle": "d2", "reason": "motor", "out_of_service": True}, 200),
+        ({"do": "hold", "reason": "motor", "spare": "d9"}, 409),
+        ({"do": "confirm", "order": "nosuch", "pack": "P7"}, 409),
+        ({"do": "hand_over", "note": "d1: motor"}, 200),
+        ({"do": "accept"}, 409),
+        ({"do": "cancel", "order": "H-105", "reason": "not at home", "to_sender": True}, 200),
     ],
-    ids=["done", "refused", "unknown", "incomplete"],
+    ids=[
+        "done",
+        "refused",
+        "unknown",
+        "incomplete",
+        "out of service",
+        "no drone",
+        "pack",
+        "hand over",
+        "nothing to accept",
+        "to sender",
+    ],
 )
 def test_commands_and_their_replies_fit_the_document(desk: Desk, content: dict, status: int):
     desk.site.step()

@@ -157,7 +157,7 @@ def test_a_settled_order_is_closed_with_who_said_it(desk: Desk):
     again = desk.post(deed)
     assert (again.status_code, again.json()["error"]) == (
         409,
-        "order H-101: delivered, expected assigned or stuck or cancelled",
+        "order H-101: delivered, expected assigned or stuck or cancelled or returned",
     )
 
 

@@ -1,1 +1,1 @@
-"""What people change of an order, and its history."""
+"""What people change of an order, its history, and drones out of service."""

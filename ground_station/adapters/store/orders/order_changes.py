@@ -40,7 +40,7 @@ def change_order(
     A changed destination or mass withdraws an assignment on the ground: the order is then open.
     """
     with database.write() as db:
-        row, assignment, stage = _lock_order(db, order_id)
+        row, assignment, stage = lock_order(db, order_id)
         before = msgspec.json.decode(row.content, type=Order)
         after = changed_order(before)
         fields = changed_fields(before, after)
@@ -62,28 +62,32 @@ def change_order(
 
 
 def cancel_order(
-    database: Database, epoch_us: Callable[[], int], order_id: str, by: str, reason: str
+    database: Database,
+    epoch_us: Callable[[], int],
+    order_id: str,
+    by: str,
+    reason: str,
+    state: OrderState = OrderState.CANCELLED,
 ) -> str:
-    """Cancel an order and record it; returns what was done, as text. Raises LeewayError with the
-    reason of a refusal. Withdraws an assignment on the ground.
+    """Cancel an order (`state`: or return it to its sender) and record it; returns what was done,
+    as text. Raises LeewayError with the reason of a refusal. Withdraws an assignment on the ground.
     """
     with database.write() as db:
-        _, assignment, stage = _lock_order(db, order_id)
+        _, assignment, stage = lock_order(db, order_id)
         if refusal := cancel_refusal(stage, assignment and assignment.vehicle):
             raise LeewayError(f"order {order_id}: {refusal}")
-        state = OrderState.CANCELLED.value
-        values = {"state": state, "why": f"{reason}, by {by}", "attempts": 0}
+        values = {"state": state.value, "why": f"{reason}, by {by}", "attempts": 0}
         db.execute(sa.update(t.orders).where(t.orders.c.id == order_id).values(values))
-        audit.add_entry(db, epoch_us(), by, "order", order_id, f"{state}: {reason}")
+        audit.add_entry(db, epoch_us(), by, "order", order_id, f"{state.value}: {reason}")
         if assignment is None:
-            return f"{order_id}: {state}"
+            return f"{order_id}: {state.value}"
         if stage is OrderStage.ON_GROUND:
-            text = f"the order was cancelled by {by}"
+            text = f"the order was {state.value} by {by}"
             day_steps.withdraw_before_launch(db, epoch_us(), assignment, by, text)
-        return f"{order_id}: {state}, withdrawn from {assignment.vehicle}"
+        return f"{order_id}: {state.value}, withdrawn from {assignment.vehicle}"
 
 
-def _lock_order(
+def lock_order(
     db: sa.Connection, order_id: str
 ) -> "tuple[sa.Row, AssignmentRow | None, OrderStage]":
     """Return an order's row, its assignment in force and its stage. LeewayError: not known."""

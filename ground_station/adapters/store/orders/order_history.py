@@ -11,6 +11,7 @@ from ground_station.adapters.store import audit_steps as audit
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.orders.order_changes import CHANGE, PROOF
+from ground_station.adapters.store.shift import days
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.order_states import ParcelOutcome
 from ground_station.core.schema.orders import AssignmentState, DeliveryProof, HistoryEntry
@@ -39,6 +40,18 @@ def read_order_history(database: Database, order_id: str) -> list[HistoryEntry]:
                 HistoryEntry(proof.at_us, proof.vehicle, f"parcel released: {proof.evidence}")
             )
     return sorted(found, key=lambda entry: entry.at_us)
+
+
+def attempts_by_order(database: Database) -> dict[str, int]:
+    """Return the number of attempts to deliver each order; one that was withdrawn is none."""
+    ends = (AssignmentState.DELIVERED, AssignmentState.RETURNED, AssignmentState.LOST)
+    order = t.assignments.c.order_id
+    query = sa.select(order, sa.func.count()).group_by(order)
+    query = query.where(t.assignments.c.state.in_([state.value for state in ends]))
+    if database.day is not None:
+        query = query.where(t.assignments.c.made_us < days.end_us_of(database.day))
+    with database.read() as db:
+        return {row[0]: row[1] for row in db.execute(query)}
 
 
 def _assignment_entries(db: sa.Connection, order_id: str) -> Iterator[HistoryEntry]:

@@ -3,9 +3,9 @@
 import { button, html, keyed, morph, set } from "./dom.js";
 import { arrivalOf, carrierOf, NOT_ARRIVING } from "./card.js";
 import { mayAdd } from "./forms.js";
-import { byName, clock, ORDER_WORDS, orderKind, windowWords } from "./words.js";
+import { byName, clock, CLOSED, ORDER_WORDS, orderKind, windowWords } from "./words.js";
 
-const GROUPS = ["stuck", "air", "van", "open", "delivered", "cancelled"];
+const GROUPS = ["stuck", "air", "van", "open", ...CLOSED];
 const COLUMNS = ["Order", "Customer", "Address", "Window", "Arrives", "By", "Weight", "Note"];
 const DRIVER_COLUMNS = ["Stop", "Arrive", "Leave", "Do", "Order", "Drone", "kg", "Window", "Priority", "Customer", "Address", "Phone", "Note"];
 const find = { text: "", chip: "all" };
@@ -49,7 +49,7 @@ function keyedBodies(table, groups, nowUs, selected) {
         html("td", {}, order.customer && html("b", {}, order.customer), order.priority && html("span", { class: "chip prio" }, "Priority")),
         html("td", {}, order.address ?? ""),
         html("td", { class: "num" }, windowWords(order, nowUs)),
-        html("td", { class: "num" }, ["delivered", "cancelled", "stuck"].includes(row.kind) ? "" : row.arrives ? html("b", {}, clock(row.arrives)) : NOT_ARRIVING[row.kind]),
+        html("td", { class: "num" }, [...CLOSED, "stuck"].includes(row.kind) ? "" : row.arrives ? html("b", {}, clock(row.arrives)) : NOT_ARRIVING[row.kind]),
         html("td", {}, row.by ?? ""), html("td", { class: "num" }, `${order.mass_kg.toFixed(2)} kg`), html("td", { class: "note" }, order.why || order.note || "")]);
     });
   }

@@ -5,11 +5,14 @@ import { editForm } from "./forms.js";
 import { truckWords } from "./map.js";
 import { mini } from "./panels.js";
 import { command, me, mayCommand, reasons } from "./people.js";
-import { age, ageOf, clock, fromWords, inTime, isSilent, kindOf, number, ORDER_WORDS, orderKind, phaseWords, seconds, UNKNOWN, wattHours, windowWords } from "./words.js";
+import { age, ageOf, clock, CLOSED, fromWords, inTime, isFlying, isSilent, kindOf, number, ORDER_WORDS, orderKind, phaseWords, seconds, UNKNOWN, wattHours, windowWords } from "./words.js";
 
 const RISK_DECADES = { from: 1, to: 5 }; // the scale: 1 in 10 to 1 in 100,000
 const HOLD_REASONS = ["Check the drone", "Pad not clear", "Weather", "Other"];
+const OUT_REASONS = ["Motor or propeller", "Battery", "Autopilot or computer", "Damaged", "Other"];
+const OUT = "out of service: ";
 const CANCEL_REASONS = ["Customer asked", "Not at home", "Cannot be flown today", "Wrong address", "Other"];
+const RETURN_REASONS = ["Not at home", "Pad blocked", "Wrong address", "Customer refused it", "Other"];
 const SETTLE_REASONS = ["Driver has looked", "Customer has confirmed", "Seen at the depot", "Other"];
 const KEYS = [["A", "next item that needs you"], ["Enter", "its card"], ["L", "launch the selected drone, twice"], ["J, K", "next, previous drone"], ["/", "search orders"], ["N", "new order"], ["1 2 3", "map, orders, driver's list"], ["F, C", "show all, centre the selection"], ["+ \u2212 and arrows", "zoom, move"], ["R", "show or hide the reachable area"], ["T", "dark, light or the system's colours"], ["Space", "replay: play, pause"], [", .", "replay: 10 s back, forward"], ["< >", "replay: slower, faster"], ["M", "replay: to the next event"], ["Esc", "close"]];
 
@@ -27,6 +30,7 @@ export function cardOf(picture, shared) {
   const { drones = {}, orders = {}, truck } = picture;
   if (selected === "help") return helpCard();
   if (selected === "sign-in" && me.isThere && !me.name) return signInCard();
+  if (selected === "handover") return handoverCard(picture);
   if (selected === "all" && mayCommand()) return allCard(shared);
   if (drones[selected]) return droneCard(selected, drones[selected], picture, shared);
   if (orders[selected]) return orderCard(selected, orders[selected], picture, shared);
@@ -49,6 +53,7 @@ function droneCard(name, drone, picture, { nowUs, history, asking, alerts }) {
     energyPart(drone, history),
     facts([
       ["Order", drone.order ? link(drone.order, [drone.order, picture.orders?.[drone.order]?.address].filter(Boolean).join(", ")) : "none"],
+      ["Hold", drone.hold ?? ""], ["In place of", drone.in_place_of ?? ""], ["Pack", drone.pack ?? ""],
       ["Ends at", drone.diverted_to ?? (drone.asked ? `${drone.home ?? UNKNOWN}; ${drone.asked} requested` : drone.home ?? (drone.order ? "the depot" : ""))],
       ["Height, speed", drone.at ? `${number(drone.height_rel_m, 0, "m")}, ${number(drone.ground_speed_mps, 1, "m/s")}` : UNKNOWN],
       ["Wind there", drone.wind_to_ne_mps ? `${Math.hypot(...drone.wind_to_ne_mps).toFixed(1)} m/s ${fromWords(drone.wind_to_ne_mps)}` : UNKNOWN],
@@ -56,7 +61,7 @@ function droneCard(name, drone, picture, { nowUs, history, asking, alerts }) {
       ["Message", drone.says ?? ""],
     ]),
     html("div", { class: "why" }, html("h3", {}, "Last decision"), drone.why ? html("p", {}, html("time", {}, seconds(drone.why_us)), html("span", { class: "decision" }, drone.why)) : html("p", { class: "muted" }, "No decision on this flight yet")),
-    asking?.kind === "hold" && asking.subject === name ? holdForm(name) : droneCommands(name, drone, picture, silent, alerts.get(name)),
+    ["hold", "out"].includes(asking?.kind) && asking.subject === name ? holdForm(name, asking.kind === "out") : droneCommands(name, drone, picture, silent, alerts.get(name)),
   ];
 }
 
@@ -104,14 +109,17 @@ function droneCommands(name, drone, { holds = [] }, silent, alert) {
   if (!mayCommand()) return null;
   const waits = alert === "your_turn" && drone.order && kindOf(drone) !== "out" && !drone.armed;
   return html("footer", {}, silent && html("p", { class: "muted" }, `A command may not arrive: no contact with ${name}.`),
-    waits ? command(`Launch ${name}`, { do: "confirm", order: drone.order }, "primary") : command(`Recall ${name}`, { do: "recall", vehicle: name }, "danger"),
-    holds.includes(name) ? command(`Release ${name}`, { do: "release", vehicle: name }) : button("Hold\u2026", "ask", `hold ${name}`));
+    waits ? html("form", { class: "acts", "data-key": "launch" }, html("input", { type: "text", name: "pack", maxlength: 32, size: 8, autocomplete: "off", "aria-label": "Pack fitted", placeholder: "Pack fitted" }), command(`Launch ${name}`, { do: "confirm", order: drone.order }, "primary")) : command(`Recall ${name}`, { do: "recall", vehicle: name }, "danger"),
+    holds.includes(name) ? command(`Release ${name}`, { do: "release", vehicle: name }) : button("Hold\u2026", "ask", `hold ${name}`),
+    drone.hold?.includes(OUT) || isFlying(drone) ? null : button("Out of service\u2026", "ask", `out ${name}`, { class: "quiet" }));
 }
 
-function holdForm(vehicle) {
+function holdForm(vehicle, isOut) {
   const subject = vehicle ?? "all drones";
-  return html("form", { class: "form ask", "data-key": "hold" }, reasons(`Why is ${subject} held?`, HOLD_REASONS),
-    html("div", { class: "acts" }, command(`Hold ${subject}`, vehicle ? { do: "hold", vehicle } : { do: "hold" }, "danger", true), button("Keep", "ask", "", { class: "quiet" })));
+  const words = isOut ? `Take ${subject} out of service` : `Hold ${subject}`;
+  return html("form", { class: "form ask", "data-key": words }, reasons(`Why is ${subject} ${isOut ? "out of service" : "held"}?`, isOut ? OUT_REASONS : HOLD_REASONS),
+    isOut && html("input", { type: "text", name: "spare", maxlength: 64, autocomplete: "off", "aria-label": "Spare in its place", placeholder: "Spare in its place, if there is one" }),
+    html("div", { class: "acts" }, command(words, { do: "hold", ...(vehicle && { vehicle }), ...(isOut && { out_of_service: true }) }, "danger", true), button("Keep", "ask", "", { class: "quiet" })));
 }
 
 // --- order, truck, all ----------------------------------------------------------------------------
@@ -133,15 +141,15 @@ function orderCard(id, order, picture, { nowUs, asking, record }) {
   const kind = orderKind(order, picture.drones);
   const by = carrierOf(id, order, picture);
   const arrives = arrivalOf(id, order, picture);
-  const isOver = ["delivered", "cancelled", "stuck"].includes(kind);
-  const form = asking?.subject === id && (asking.kind === "cancel" ? cancelForm(id, order) : asking.kind === "settle" ? settleForm(id, asking.settled) : asking.kind === "edit" ? editForm(id, order) : null);
+  const isOver = [...CLOSED, "stuck"].includes(kind);
+  const form = asking?.subject === id && (["cancel", "return"].includes(asking.kind) ? cancelForm(id, asking.kind === "return") : asking.kind === "settle" ? settleForm(id, asking.settled) : asking.kind === "edit" ? editForm(id, order) : null);
   const own = record?.id === id ? record : null;
   return [
     header([order.customer ?? id, order.priority ? html("span", { class: "chip prio" }, "Priority") : null], [order.customer && id, `${order.mass_kg.toFixed(2)} kg`, by ? `by ${by}` : "by no vehicle yet"].filter(Boolean).join(" \u00b7 ")),
-    stepper([["Received", ""], ["Loaded", ""], ["In the air", ""], [kind === "cancelled" ? "Cancelled" : "Delivered", ""]], { open: 0, van: 1, air: 2, stuck: 2, delivered: 4, cancelled: 3 }[kind]),
+    stepper([["Received", ""], ["Loaded", ""], ["In the air", ""], [isOver && kind !== "stuck" ? ORDER_WORDS[kind] : "Delivered", ""]], { open: 0, van: 1, air: 2, stuck: 2, delivered: 4, cancelled: 3, returned: 3 }[kind]),
     html("div", { class: "promise" }, html("h3", {}, isOver ? "State" : "Arrives"), html("p", { class: "big" }, isOver ? ORDER_WORDS[kind] : arrives ? inTime(arrives, nowUs) : NOT_ARRIVING[kind]), order.why && html("p", { class: "muted" }, order.why)),
     proofPart(own?.proof),
-    facts([["Window", windowWords(order, nowUs)], ["Address", order.address], ["Contact", order.phone && html("a", { href: `tel:${order.phone.replaceAll(" ", "")}` }, order.phone)], ["Note", order.note], ["Position", order.at.map((degrees) => degrees.toFixed(5)).join(", ")], ["Confirmed", order.confirmed_by && `launch by ${order.confirmed_by}`], ["Drone", order.vehicle && link(order.vehicle)]]),
+    facts([["Window", windowWords(order, nowUs)], ["Address", order.address], ["Contact", order.phone && html("a", { href: `tel:${order.phone.replaceAll(" ", "")}` }, order.phone)], ["Note", order.note], ["Attempts", own?.attempts && String(own.attempts)], ["Position", order.at.map((degrees) => degrees.toFixed(5)).join(", ")], ["Confirmed", order.confirmed_by && `launch by ${order.confirmed_by}`], ["Drone", order.vehicle && link(order.vehicle)]]),
     form || orderCommands(id, kind),
     own && html("div", { class: "why" }, html("h3", {}, "History"), own.history.map(({ at_us: at, by, text }) => html("p", {}, html("time", {}, seconds(at)), html("span", {}, [by, text].filter(Boolean).join(": "))))),
   ];
@@ -158,14 +166,15 @@ function proofPart(proof) {
 function orderCommands(id, kind) {
   if (!mayCommand()) return null;
   const settle = ["stuck", "van", "air"].includes(kind) && [["delivered", "Delivered\u2026"], ["lost", "Lost\u2026"], ["back", "Came back\u2026"]].map(([end, words]) => button(words, "ask", `settle ${id} ${end}`));
-  const cancel = ["open", "stuck", "van"].includes(kind) && button("Cancel order\u2026", "ask", `cancel ${id}`, { class: "danger quiet" });
+  const cancel = ["open", "stuck", "van"].includes(kind) && [button("To sender\u2026", "ask", `return ${id}`), button("Cancel order\u2026", "ask", `cancel ${id}`, { class: "danger quiet" })];
   const edit = ["open", "stuck", "van", "air"].includes(kind) && button("Edit\u2026", "ask", `edit ${id}`);
   return settle || cancel || edit ? html("footer", {}, edit, settle, cancel) : null;
 }
 
-function cancelForm(id) {
-  return html("form", { class: "form ask", "data-key": `cancel ${id}` }, reasons(`Why is ${id} cancelled?`, CANCEL_REASONS),
-    html("div", { class: "acts" }, command(`Cancel ${id}`, { do: "cancel", order: id }, "danger", true), button("Keep it", "ask", "", { class: "quiet" })));
+function cancelForm(id, toSender) {
+  const [words, choices, name] = toSender ? ["returned to its sender", RETURN_REASONS, `Return ${id} to sender`] : ["cancelled", CANCEL_REASONS, `Cancel ${id}`];
+  return html("form", { class: "form ask", "data-key": name }, reasons(`Why is ${id} ${words}?`, choices),
+    html("div", { class: "acts" }, command(name, { do: "cancel", order: id, ...(toSender && { to_sender: true }) }, "danger", true), button("Keep it", "ask", "", { class: "quiet" })));
 }
 
 function settleForm(id, settled) {
@@ -188,6 +197,21 @@ function allCard({ asking }) {
   return [header("All drones", "Two steps each"),
     html("div", { class: "why" }, html("p", {}, "Recall brings every drone in the air home and holds it. Hold keeps every drone on the ground.")),
     asking?.kind === "hold" && !asking.subject ? holdForm(null) : html("footer", {}, command("Recall all", { do: "recall" }, "danger"), button("Hold all\u2026", "ask", "hold"), command("Release all", { do: "release" }))];
+}
+
+// What the next dispatcher has to know: the rest is in the lists.
+function handoverCard(picture) {
+  const { drones = {}, orders = {}, handover, notes = [], attention = [] } = picture;
+  const named = (state) => Object.keys(orders).filter((id) => orders[id].state === state);
+  const part = (title, rows) => rows.length ? html("div", { class: "why" }, html("h3", {}, title), rows.map((words) => html("p", {}, html("span", {}, words)))) : null;
+  const flying = Object.entries(drones).filter(([, drone]) => isFlying(drone)).map(([name, drone]) => [name, phaseWords(drone.phase), drone.order, drone.land_us && `lands ${clock(drone.land_us)}`].filter(Boolean).join(", "));
+  const loaded = named("assigned").filter((id) => !isFlying(drones[orders[id].vehicle] ?? {})).map((id) => `${id} on ${orders[id].vehicle}`);
+  const told = (handover?.notes ?? []).map(({ at_us: at, by, text }) => `${clock(at)} ${by}: ${text}`);
+  const state = !handover ? "No hand-over yet" : handover.accepted_by ? `Accepted by ${handover.accepted_by} at ${clock(handover.accepted_us)}` : `Handed over by ${handover.by} at ${clock(handover.at_us)}, not accepted yet`;
+  return [header("Hand-over", state), part("Notes", told), part("In the air", flying), part("Loaded", loaded), part("Open orders", [named("open").join(", ")].filter(Boolean)),
+    part("Needs the next dispatcher", attention.filter((item) => item.key !== "handover").map((item) => item.title)), part("Holds", notes),
+    mayCommand() && html("form", { class: "form ask", "data-key": "handover" }, html("input", { type: "text", name: "note", maxlength: 200, autocomplete: "off", "aria-label": "Note", placeholder: "What the next dispatcher has to know" }),
+      html("div", { class: "acts" }, command("Hand over", { do: "hand_over" }, "primary"), handover && !handover.accepted_by && handover.by !== me.name ? command("Accept the shift", { do: "accept" }) : null))];
 }
 
 function helpCard() {

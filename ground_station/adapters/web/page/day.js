@@ -3,7 +3,7 @@
 
 import { html, morph, svg } from "./dom.js";
 import { arrivalOf } from "./card.js";
-import { byName, clock, isFlying, orderKind } from "./words.js";
+import { byName, clock, CLOSED, isFlying, orderKind } from "./words.js";
 
 const [LEFT, ROW, TOP] = [62, 14.5, 22];
 const NARROW_PX = 500;
@@ -68,7 +68,7 @@ function agenda(picture, { nowUs }) {
   return html("ol", { class: "agenda" }, plan.route.map((id) => [id, plan.stops[id]]).filter(([, stop]) => stop).map(([id, stop]) => {
     const here = stop.arrived_us && !stop.departed_us;
     const own = [...new Set([...(stop.serves ?? []), ...(plan.sorties ?? []).filter((one) => one.launch === id).map((one) => one.order)])].filter((one) => orders[one]);
-    const left = own.filter((one) => !["delivered", "cancelled"].includes(orders[one].state));
+    const left = own.filter((one) => !CLOSED.includes(orders[one].state));
     return html("li", { class: here ? "now" : stop.departed_us ? "past" : "" }, html("time", {}, stop.arrive_us ? clock(stop.arrived_us ?? stop.arrive_us) : ""),
       html("div", {}, html("b", {}, id, here && stop.depart_us && html("span", {}, ` until ${clock(stop.depart_us)}`)), html("small", {}, !own.length ? "no orders" : left.length ? `${left.length} of ${own.length} still to deliver` : `all ${own.length} delivered`), here ? html("ol", {}, left.map(line)) : null));
   }));

@@ -4,7 +4,7 @@ import { $, ICONS, keyed, morph, remembering, say, set, svg } from "./dom.js";
 import { distance, drawGround } from "./ground.js";
 import { placeLabels } from "./labels.js";
 import { niceLength } from "./view.js";
-import { age, ageOf, clock, fromWords, inTime, isFlying, isSilent, kindOf, orderKind, shortId, spare } from "./words.js";
+import { age, ageOf, clock, CLOSED, fromWords, inTime, isFlying, isSilent, kindOf, orderKind, shortId, spare } from "./words.js";
 
 const NONE = {};
 const LAYERS = ["ground", "wind", "areas", "reach", "route", "ways", "orders", "clusters", "stops", "rally", "drive", "truck", "ghosts", "drones", "pin", "labels"];
@@ -27,7 +27,7 @@ const SHAPES = {
 };
 const SIGNS = { ready: "M-3.5,-5L5,0L-3.5,5Z", load: "M-4,-4h8v8h-8z", drop: "M0,-5.5v8M-4,-1L0,3.6L4,-1M-4.5,6h9" };
 const DART = "M0,-7.4L5.6,6L0,2.9L-5.6,6Z";
-const ORDER_RANK = { stuck: 3, air: 4, van: 4, open: 7, cancelled: 8, delivered: 9 };
+const ORDER_RANK = { stuck: 3, air: 4, van: 4, open: 7, cancelled: 8, returned: 8, delivered: 9 };
 
 export class Drawing {
   constructor(view) {
@@ -304,7 +304,7 @@ export class Drawing {
       for (const { id, order, kind, x, y } of this.single ?? []) {
         soft.push(box(x, y, 6));
         hits.push({ id, x, y, r: 10, rank: id === selected ? 2.5 : 3 });
-        if (id === selected || ORDER_RANK[kind] < 5 || (this.single.length < MOST_ORDER_LABELS)) wanted.push({ id: `order ${id}`, rank: id === selected ? 0 : ORDER_RANK[kind], x, y, r: 8, words: id === selected ? id : shortId(id), kind: ["delivered", "cancelled"].includes(kind) ? "faint" : "ord" });
+        if (id === selected || ORDER_RANK[kind] < 5 || (this.single.length < MOST_ORDER_LABELS)) wanted.push({ id: `order ${id}`, rank: id === selected ? 0 : ORDER_RANK[kind], x, y, r: 8, words: id === selected ? id : shortId(id), kind: CLOSED.includes(kind) ? "faint" : "ord" });
       }
       for (const { cell, group, x, y } of this.clusters ?? []) {
         soft.push(box(x, y, 18));

@@ -21,7 +21,7 @@ export function counts({ orders = {}, drones = {} }) {
 export function topBar(picture, { nowUs, link, view, isPast }) {
   const { plan, drones = {}, truck, fleet } = picture;
   const found = counts(picture);
-  const total = Object.values(found).reduce((a, b) => a + b, 0) - (found.cancelled ?? 0);
+  const total = Object.values(found).reduce((a, b) => a + b, 0) - (found.cancelled ?? 0) - (found.returned ?? 0);
   const flying = Object.values(drones).filter(isFlying).length;
   const figure = (name, value, more, kind = "") => html("div", { class: `figure ${kind}` }, html("dt", {}, name), html("dd", {}, value, more && html("small", {}, more)));
   let x = 0;
@@ -40,7 +40,7 @@ export function topBar(picture, { nowUs, link, view, isPast }) {
       truck && figure("Truck", truck.phase === "driving" ? "Driving" : truck.stop ?? UNKNOWN, truck.phase === "driving" ? `to ${truck.stop ?? "its next stop"}` : truck.leaves_us ? (truck.leaves_us < nowUs ? `was due ${clock(truck.leaves_us)}` : `leaves ${inTime(truck.leaves_us, nowUs)}`) : ""),
       ends && figure("Day ends", clock(ends + 1e6 * Math.max(0, plan.late_s ?? 0)), `plan ${clock(ends)}`)),
     html("div", { class: "right" },
-      !isPast && me.mayOrder && button("All drones\u2026", "select", "all", { class: "all" }),
+      !isPast && me.mayOrder && [button("Hand over\u2026", "select", "handover", { class: "quiet" }), button("All drones\u2026", "select", "all", { class: "all" })],
       html("div", { id: "link", class: `link ${link.kind}` }, html("b", {}, link.words), html("span", {}, link.more)),
       html("time", { id: "clock" }, nowUs ? seconds(nowUs) : ""),
       html("span", { id: "person", class: me.trouble ? "lost" : "" }, me.trouble || (me.name ? `${me.name}, ${me.role}` : "")),
@@ -81,6 +81,8 @@ function actionButton(act, { who }, order) {
     case "hold": return me.mayOrder && button("Hold\u2026", "ask", `hold ${who}`);
     case "hold_all": return me.mayOrder && button("Hold all\u2026", "select", "all");
     case "settle": return me.mayOrder && button({ delivered: "Delivered\u2026", lost: "Lost\u2026", back: "Came back\u2026" }[subject], "ask", `settle ${who} ${subject}`);
+    case "accept": return command("Accept the shift", { do: "accept" }, "primary");
+    case "return": return me.mayOrder && button("To sender\u2026", "ask", `return ${who}`);
     default: return null;
   }
 }

@@ -61,6 +61,10 @@ export async function commandClicked(element) {
   const deed = JSON.parse(key);
   if (!canSend(deed) || !mayCommand()) return;
   if (armed.deed === key && nowMs - armed.ms < APART_MS) return;
+  for (const name of ["spare", "pack", "note"]) {
+    const value = element.closest("form")?.querySelector(`[name=${name}]`)?.value.trim();
+    if (value) deed[name] = value;
+  }
   if (element.hasAttribute("data-reason")) {
     deed.reason = reasonOf(element.closest("form"));
     if (!deed.reason) return tell(`${words}: give a reason first`, "lost");

@@ -65,7 +65,8 @@ export const ageOf = (one, nowUs) => (one.heard_us === undefined ? Infinity : (n
 // In contact before, and silent now.
 export const isSilent = (drone, nowUs) => drone.heard_us !== undefined && (ageOf(drone, nowUs) > SILENT_S || !drone.present);
 
-export const ORDER_WORDS = { stuck: "Stuck", air: "In the air", van: "Loaded", open: "Waiting", delivered: "Delivered", cancelled: "Cancelled" };
+export const ORDER_WORDS = { stuck: "Stuck", air: "In the air", van: "Loaded", open: "Waiting", delivered: "Delivered", cancelled: "Cancelled", returned: "To sender" };
+export const CLOSED = ["delivered", "cancelled", "returned"];
 export function orderKind(order, drones) {
   if (order.state !== "assigned") return order.state;
   const drone = drones?.[order.vehicle];

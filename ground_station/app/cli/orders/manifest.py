@@ -13,7 +13,7 @@ from ground_station.app.options.program_options import command_class_with_option
 app = typer.Typer()
 
 
-@app.command(cls=command_class_with_options("store", "store_file"))
+@app.command(cls=command_class_with_options("store", "store_file", "date"))
 def manifest(
     out: Annotated[Path, typer.Option(help="HTML that prints on A4, or .csv with the same rows.")],
 ) -> None:

@@ -192,16 +192,20 @@ def list_(
 def cancel(
     order_id: OrderId,
     reason: Annotated[str, typer.Option(help="Recorded in the history.")],
+    to_sender: Annotated[
+        bool, typer.Option("--to-sender", help="Not delivered: its parcel goes back to the sender.")
+    ] = False,
 ) -> None:
     """Cancel an order. On the ground its assignment is withdrawn; in the air: recall first.
 
     ground-station order cancel H-101 --reason "customer asked"
+    ground-station order cancel H-101 --to-sender --reason "not at home"
     """
     from ground_station.adapters.clock import epoch_us
     from ground_station.app.desk.operator_commands import cancel_order
 
     with desk_options().operator_and_store() as (by, store):
-        result = cancel_order(store, epoch_us, order_id, by, reason)
+        result = cancel_order(store, epoch_us, order_id, by, reason, to_sender=to_sender)
     for text in result.messages:
         typer.echo(text)
 
@@ -209,6 +213,9 @@ def cancel(
 @app.command(cls=SIGNED_OPTIONS)
 def launch(
     order_id: OrderId,
+    pack: Annotated[
+        str | None, typer.Option(help="The pack fitted to it, as `companion run --pack`.")
+    ] = None,
 ) -> None:
     """Confirm the launch of the drone that has this order, once.
 
@@ -216,11 +223,14 @@ def launch(
 
     ground-station order launch H-101
     """
+    from ground_station.adapters.clock import epoch_us
     from ground_station.app.desk import operator_commands
 
     with desk_options().operator_and_store() as (by, order_store):
-        result = operator_commands.record_launch_confirmation(order_store, order_id, by)
-    for text in result.messages:
+        result = operator_commands.record_launch_confirmation(
+            order_store, order_id, by, epoch_us, pack
+        )
+    for text in (*result.checks, *result.messages):
         typer.echo(text)
 
 
@@ -240,8 +250,8 @@ def settle(
 ) -> None:
     """Close or reopen an order that cannot complete by itself.
 
-    State exactly one of --delivered, --lost, --back. For an order that is stuck or cancelled, or
-    whose vehicle cannot report. Ends its assignment. Inspect the parcel and the drone first.
+    State exactly one of --delivered, --lost, --back. For an order that is stuck, cancelled or
+    returned, or whose vehicle cannot report. Ends its assignment. Inspect parcel and drone first.
 
     ground-station order settle H-101 --back --reason "drone and parcel are in the hangar"
     """

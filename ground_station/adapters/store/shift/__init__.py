@@ -1,0 +1,1 @@
+"""What a shift of dispatchers needs: days, hand-over and packs."""
