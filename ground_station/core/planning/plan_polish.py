@@ -1,4 +1,4 @@
-"""Ranks schedules of the forward pass, and improves them in ways that the search does not price.
+"""Ranks schedules of the forward pass, and improves them by its exact rule.
 
 An order with a window or priority is moved to another position of the truck's route, or flown from
 another stop, and the plan is kept if the forward pass ranks it better. Orders without either give
