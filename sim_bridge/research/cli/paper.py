@@ -33,10 +33,6 @@ def campaign(
     ] = None,
     max_loss: Annotated[float, typer.Option(help="Accepted loss per mission (ber).")] = 0.01,
     risk_weight: Annotated[float, typer.Option(help="Risk weight lambda of the paper.")] = 1.0,
-    curve_factor: Annotated[float, typer.Option(help="Curve factor kappa (ber-paper).")] = 1.15,
-    metric_flag: Annotated[
-        int, typer.Option(min=0, max=1, help="Metric: 0 energy, 1 synthetic length (ber-paper).")
-    ] = 0,
     levels: Annotated[int, typer.Option(min=2, help="Energy levels of the tables (ber).")] = 500,
 ) -> None:
     """Fly missions on scenarios with several planners in the same winds.
@@ -45,7 +41,6 @@ def campaign(
     """
     from sim_bridge.research.campaign.campaign import build_campaign, build_campaign_report
     from sim_bridge.research.campaign.workbench import CampaignParams
-    from sim_bridge.research.planners.ber_paper import BerPaperParams
 
     params = CampaignParams(
         missions=missions,
@@ -54,7 +49,6 @@ def campaign(
         max_loss=max_loss,
         risk_weight=risk_weight,
         levels=levels,
-        paper=BerPaperParams(curve_factor=curve_factor, metric_flag=metric_flag),
     )
     batch = build_campaign(scenarios, planner, params)
     run_experiment(batch, lambda found: build_campaign_report(batch.cases, found))
@@ -156,15 +150,13 @@ def energy_speed(
 @app.command(cls=command_class_with_options(*EXPERIMENT_OPTIONS))
 def towns(
     rounds: Annotated[int, typer.Option(help="Number of rounds.")] = 10,
-    towns: Annotated[int, typer.Option(help="Towns per round.")] = 10,
-    budget_wh: Annotated[float, typer.Option(help="Energy budget B, Wh.")] = 50.0,
     max_loss: Annotated[float, typer.Option(help="Accepted loss per mission (ber).")] = 0.01,
 ) -> None:
-    """Outcomes over generated towns whose wind differs from edge to edge."""
+    """Outcomes over ten generated towns a round (B = 50 Wh) whose wind differs from edge to edge."""
     from sim_bridge.research.study.run import Experiment
     from sim_bridge.research.tables import urban_table as experiment
 
-    work = [experiment.TownJob(t, budget_wh, max_loss) for t in range(rounds * towns)]
+    work = [experiment.TownJob(t, 50.0, max_loss) for t in range(10 * rounds)]
     kind = list[tuple[str, list[float]]]
     run_experiment(
         Experiment("towns", work, experiment.fly_town_with_each_planner, kind),

@@ -72,29 +72,23 @@ def promise(
 
 @app.command(cls=command_class_with_options(*EXPERIMENT_OPTIONS, "seed"))
 def rates(
-    rate: Annotated[
-        list[float] | None,
-        typer.Option(
-            min=1e-6, max=1.0, help="Accepted P(loss) per flight hour; default 1e-2, 1e-3, 1e-4."
-        ),
-    ] = None,
     samples: Annotated[int, typer.Option(min=20, help="Samples per level, rounded to tens.")] = 300,
     repeats: Annotated[int, typer.Option(min=1, help="Runs of each rate.")] = 2,
     plain: Annotated[
         int, typer.Option(min=250, help="Deliveries by plain Monte Carlo, for the check.")
     ] = 4000,
 ) -> None:
-    """Estimate what an accepted rate of losses per flight hour loses, and its cost in deliveries.
+    """Estimate what rates of 1e-2, 1e-3 and 1e-4 losses per flight hour lose, and what they cost.
 
     The gate flies deliveries on simulated days, each with its own wind, sensor noise and pack. Rare
     losses are found by subset simulation, which is checked against plain Monte Carlo where that can
     be had. Ctrl-C keeps what is done: the same command goes on.
 
-    Example: sim-bridge research rates --rate 1e-3 --seed 2
+    Example: sim-bridge research rates --samples 200 --seed 2
     """
     from sim_bridge.research.rates.study import estimate_loss_rates
 
-    requested = tuple(rate or (1e-2, 1e-3, 1e-4))
+    requested = (1e-2, 1e-3, 1e-4)
     run, per_level = create_experiment_run("logs/rates"), 10 * round(samples / 10)
     run.print_and_write_report(
         estimate_loss_rates(requested, per_level, repeats, plain, seed_option_or(1), run)
