@@ -152,7 +152,7 @@ def towns(
     rounds: Annotated[int, typer.Option(help="Number of rounds.")] = 10,
     max_loss: Annotated[float, typer.Option(help="Accepted loss per mission (ber).")] = 0.01,
 ) -> None:
-    """Outcomes over ten generated towns a round (B = 50 Wh) whose wind differs from edge to edge."""
+    """Outcomes over generated towns (B = 50 Wh) whose wind differs from edge to edge."""
     from sim_bridge.research.study.run import Experiment
     from sim_bridge.research.tables import urban_table as experiment
 
