@@ -231,7 +231,13 @@ class Gate:
             self._sampler.resistance_deviates,
         )
         table = LegTable(
-            self._route_energy, remaining, wind_estimate, wind_outlook, self._sampler, power_need
+            self._route_energy,
+            remaining,
+            wind_estimate,
+            wind_outlook,
+            self._sampler,
+            budget.std_of_need_wh,
+            power_need,
         )
         return _Evaluation(table, budget, OutcomeProbabilities(table, budget, self._sampler))
 
@@ -322,20 +328,23 @@ class Gate:
     ) -> Assessment:
         table, budget, chances = evaluation.table, evaluation.budget, evaluation.chances
         unattended = table.unattended_return_energy_wh()
+        weights = table.weights
         need = table.whole_mission_energy_wh() if remaining.stages else chances.onward_need_wh
         return Assessment(
             t_s=wind_estimate.t_s,
             p_home=decision.p_home,
             p_home_now=chances.p_now,
             p_success=decision.p_success,
-            margin_wh=budget.margin_to_probability_wh(chances.onward_need_wh, 1.0 - accepted_loss),
+            margin_wh=budget.margin_to_probability_wh(
+                chances.onward_need_wh, weights, 1.0 - accepted_loss
+            ),
             turn_back=decision.turn_back,
             best_landing=remaining.current_return_routes[chances.best_route_now].landing,
             p_home_unattended=None
             if unattended is None
-            else float(budget.probability_need_is_met(unattended).mean()),
+            else float(weights @ budget.probability_need_is_met(unattended)),
             energy_left_wh=energy.mean_wh,
-            energy_need_wh=budget.scale * float(need.mean()),
+            energy_need_wh=budget.scale * float(weights @ need),
             reason=decision.reason,
             required_p_home=1.0 - accepted_loss,
             p_home_next=chances.p_onward if remaining.stages else chances.p_now,

@@ -5,6 +5,7 @@ at its midpoint, at the time of the midpoint in the mean wind.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from companion.core.base.arrays import Floats, Ints
 from companion.core.base.geo import Ned, course_rad, horizontal_distance_m, wrap_pi
 from companion.core.return_budget.power_need import PowerNeed, additional_need_wh
 from companion.core.return_budget.remaining_mission import RemainingMission, Stage
-from companion.core.return_budget.wind_samples import PathSampler
+from companion.core.return_budget.wind_samples import NeedSpread, PathSampler
 from companion.core.routing.leg_energy import MIN_LEG_M, Leg, LegKind, RouteEnergy
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindForecast, WindForecaster
@@ -86,9 +87,11 @@ class LegTable:
         wind: WindBelief,
         outlook: WindForecaster,
         sampler: PathSampler,
+        other_std_wh: Callable[[Floats], Floats],
         power_need: PowerNeed | None = None,
     ) -> None:
         self._route_energy, self._power_need = route_energy, power_need
+        self._other_std_wh = other_std_wh
         self._leg_list: list[Leg] = []
         self._before: list[Leg | None] = []
         self._stage: list[_Span] = []
@@ -277,8 +280,9 @@ class LegTable:
         sampler: PathSampler,
     ) -> None:
         at_leg = _interpolation_weights_at(midpoint_times_s)
-        wind_process = sampler.sample_wind_paths(forecast)
-        wind = at_leg @ wind_process + sampler.sample_wind_estimate_errors(forecast)
+        draws = sampler.draw(forecast, self._need_spreads(forecast, at_leg))
+        wind = at_leg @ draws.path_ne_mps + draws.estimate_error_ne_mps
+        self.weights = draws.weights
         costs = self._route_energy.leg_costs_leg_major(self._compiled, wind[0], wind[1])
         self._energy = costs.energy_wh
         self._remaining_need = self._power_need and self._power_need.remaining_need_by_leg_wh(
@@ -289,8 +293,23 @@ class LegTable:
                 forecast,
                 at_leg,
                 _interpolation_weights_at(arrival_times_s),
-                wind_process[:, :, POLICY_SAMPLES],
+                draws.path_ne_mps[:, :, POLICY_SAMPLES],
             )
+
+    def _need_spreads(
+        self, forecast: WindForecast, node_weights_by_leg: Floats
+    ) -> list[NeedSpread]:
+        """Return the spread of the need of turning back at each decision point."""
+        mean = forecast.mean_to_ne_mps.mean(axis=0)
+        gradient = self._route_energy.leg_energy_gradients_wh_per_mps(self._compiled, mean)
+        by_leg_wh = self._route_energy.leg_costs_wind_major(self._compiled, mean[None, :]).energy_wh
+        found: list[NeedSpread] = []
+        for point, routes in enumerate(self._routes):
+            spans = (*self._stage[:point], routes[0])
+            rows = np.array([row for span in spans for row in _row_range(span)], dtype=np.int64)
+            other_std_wh = float(self._other_std_wh(by_leg_wh[0, rows].sum()))
+            found.append(NeedSpread(node_weights_by_leg[rows].T @ gradient[rows], other_std_wh))
+        return found
 
     def _compute_later_needs(
         self,
