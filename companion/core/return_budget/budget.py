@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from companion.core.return_budget.assessment import (
-    RESOLVED_LOSS,
+    SUPPORTED_LOSS,
     Assessment,
     GateParams,
     ModelDoubt,
@@ -152,7 +152,7 @@ class Gate:
         model_error: ModelError | None = None,
     ) -> Assessment:
         """Return the assessment with its limit of evidence: P(home) of the same decision with the
-        models' spread at its upper bound, and at most 1 - `RESOLVED_LOSS`. It decides nothing.
+        models' spread at its upper bound, and at most 1 - `SUPPORTED_LOSS`. It decides nothing.
         """
         error = model_error or self._nominal_model_error()
         chances = self._evaluate_outcomes(
@@ -165,7 +165,7 @@ class Gate:
         p_home = chances.p_now
         if not assessment.turn_back:
             p_home, _ = chances.p_home_and_success_if_continuing(assessment.required_p_home)
-        return replace(assessment, p_home_limit=min(p_home, 1.0 - RESOLVED_LOSS))
+        return replace(assessment, p_home_limit=min(p_home, 1.0 - SUPPORTED_LOSS))
 
     def decide_for_each_accepted_loss(
         self,

@@ -12,11 +12,11 @@ from companion.core.wind.forecast import WindForecast, student_t_scale_factors
 
 _COMPONENTS = 5  # principal components of the wind's random walk per axis: over 99 % of variance
 _WIND_DIMENSIONS = 2 * _COMPONENTS + 2  # random walk, lasting error of the estimate
-# Sequences of the resistance and of the parts of the mixture, independent of the others.
+# Sequences of the resistance and of the way home, independent of the others.
 _GOLDEN_STEP, _SILVER_STEP = 0.5 * (np.sqrt(5.0) - 1.0), np.sqrt(2.0) - 1.0
 _NODES_EACH_SIDE, _NODE_STEP = 4, 1.0  # quadrature of the model error
 _SHIFT = 2.8  # [est] of the draws towards a loss, in standard deviations of the need
-_UNSHIFTED_FRAC = 0.5  # [est] of the draws
+_SHIFTED_FRAC = 1.0 / 3.0  # [est] of the draws
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,25 +47,33 @@ class Draws:
 class PathSampler:
     """`sample_count` points of low discrepancy (Roberts' R-sequence) and their importance weights.
 
-    A loss is rare and comes from winds that raise the need of some way home. Half of the draws are
-    shifted towards these winds, in equal parts for each way home, and weighted by the ratio of the
-    densities (importance sampling from a mixture; Owen, *Monte Carlo theory, methods and
-    examples*, 9.11). The model error is integrated over nodes.
+    A loss is rare and comes from winds that raise the need of some way home. A third of the draws
+    is shifted towards these winds, in equal parts for each way home, and all are weighted by the
+    ratio of the densities (importance sampling from a mixture, with the variables themselves as
+    control variates; Owen, *Monte Carlo theory, methods and examples*, 9.11 and 8.9). The model
+    error is integrated over nodes.
 
     The points are identical at every call, so that an assessment changes only with its inputs and
     replay is exact.
     """
 
     def __init__(self, sample_count: int) -> None:
-        points = _low_discrepancy_normals(sample_count, _WIND_DIMENSIONS + 2)
+        shifted = round(_SHIFTED_FRAC * sample_count)
+        points = np.vstack(
+            [
+                _low_discrepancy_normals(count, _WIND_DIMENSIONS + 2)
+                for count in (sample_count - shifted, shifted)
+            ]
+        )
         self.count = sample_count
         self._points: Floats = points[:, 1:].T.copy()  # the last one: scale of the tails
+        self._shifted_frac = shifted / sample_count
+        self._way_frac: Floats = np.arange(1.0, shifted + 1.0) * _SILVER_STEP % 1.0
         self._tails: dict[float, _TailScale] = {}
         self.model_error, self.model_error_weights = _shifted_nodes(normal_cdf(points[:, 0]))
         golden = (0.5 + np.arange(1.0, sample_count + 1.0) * _GOLDEN_STEP) % 1.0
         ranks = golden.argsort().argsort()
         self.resistance_deviates: Floats = normal_quantile((ranks + 0.5) / sample_count)
-        self._part = np.arange(1.0, sample_count + 1.0) * _SILVER_STEP % 1.0
 
     # Model error in standard deviations, and weights: (nodes, K), nodes of a quadrature that each
     # sample shifts.
@@ -96,18 +104,24 @@ class PathSampler:
 
     def _shifted_points(self, shifts: Floats) -> tuple[Floats, Floats]:
         """Return the points (dimensions, K), shifted by (J, dimensions), and their weights."""
-        shifted = (self._part - _UNSHIFTED_FRAC) / (1.0 - _UNSHIFTED_FRAC)
-        part = np.floor(shifted * len(shifts)).astype(np.int64)
-        by_part = np.vstack([shifts, np.zeros((1, shifts.shape[1]))])
-        points = self._points + by_part[np.where(part < 0, -1, part)].T
+        way = np.floor(self._way_frac * len(shifts)).astype(np.int64)
+        points = self._points.copy()
+        points[:, self.count - way.size :] += shifts[way].T
         log_ratio = shifts @ points - 0.5 * (shifts**2).sum(axis=1)[:, None]
-        density = _UNSHIFTED_FRAC + (1.0 - _UNSHIFTED_FRAC) * np.exp(log_ratio).mean(axis=0)
-        return points, (1.0 / density) / (1.0 / density).sum()
+        ratio = np.exp(log_ratio).mean(axis=0)
+        weights = 1.0 / (1.0 - self._shifted_frac + self._shifted_frac * ratio)
+        weights /= weights.sum()
+        # Weights under which the sum of the weights is 1 and the mean of each variable is 0.
+        controls = np.vstack([np.ones(self.count), points])
+        excess = controls @ weights - np.eye(len(controls))[0]
+        factors = np.linalg.solve((controls * weights) @ controls.T, excess)
+        weights = np.maximum(weights * (1.0 - factors @ controls), 0.0)
+        return points, weights / weights.sum()
 
     def _tail_scale(self, dof: float) -> "_TailScale":
         if dof not in self._tails:
             normal = np.linspace(-5.0, 7.0, 61)
-            factor = student_t_scale_factors(dof, normal_cdf(-normal))
+            factor = student_t_scale_factors(dof, normal_cdf(normal))
             self._tails[dof] = _TailScale(normal, factor, float(np.gradient(factor, normal)[25]))
         return self._tails[dof]
 

@@ -33,6 +33,7 @@ ROUTE = RouteEnergy(M100)
 WIND_PROCESS = read_wind_process("coast")
 MODEL_STD = M100.power_rotor.model_std_frac
 PARCEL = 0.6
+THIRDS = np.full(3, 1.0 / 3.0)
 UP = -40.0
 
 
@@ -118,7 +119,7 @@ def test_a_margin_is_the_normal_distributions_and_never_more(p: float, left_wh: 
     budget = Budget(left_wh, battery_std_wh=2.0, model_std_frac=0.04, scale=1.1)
     spread = math.hypot(2.0, 0.04 * 1.1 * 40.0)
     exact = left_wh - (1.1 * 40.0 + float(norm.ppf(p)) * spread)
-    assert exact - 0.005 <= budget.margin_to_probability_wh(np.full(3, 40.0), p) <= exact
+    assert exact - 0.005 <= budget.margin_to_probability_wh(np.full(3, 40.0), THIRDS, p) <= exact
 
 
 RETURN = RemainingMission((home_from(1500.0, 0.0),), (), delivered=True)
@@ -619,6 +620,6 @@ def test_a_sites_margin_is_the_root_of_its_probability_and_has_its_sign(left_wh,
         spread = np.hypot(1.5, 0.04 * 1.05 * needs)
         return float(norm.cdf((level_wh - 1.05 * needs) / spread).mean()) - promised
 
-    margin_wh = budget.approximate_margin_wh(needs, promised)
+    margin_wh = budget.approximate_margin_wh(needs, np.full(256, 1.0 / 256.0), promised)
     assert margin_wh == pytest.approx(left_wh - brentq(excess, 0.0, 200.0), abs=0.2)
     assert (margin_wh < 0.0) == (excess(left_wh) < 0.0)
