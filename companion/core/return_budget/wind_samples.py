@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -72,8 +73,7 @@ class PathSampler:
         self._tails: dict[float, _TailScale] = {}
         self.model_error, self.model_error_weights = _shifted_nodes(normal_cdf(points[:, 0]))
         golden = (0.5 + np.arange(1.0, sample_count + 1.0) * _GOLDEN_STEP) % 1.0
-        ranks = golden.argsort().argsort()
-        self.resistance_deviates: Floats = normal_quantile((ranks + 0.5) / sample_count)
+        self.resistance_deviates: Floats = _mid_quantiles(golden)
 
     # Model error in standard deviations, and weights: (nodes, K), nodes of a quadrature that each
     # sample shifts.
@@ -104,9 +104,11 @@ class PathSampler:
 
     def _shifted_points(self, shifts: Floats) -> tuple[Floats, Floats]:
         """Return the points (dimensions, K), shifted by (J, dimensions), and their weights."""
-        way = np.floor(self._way_frac * len(shifts)).astype(np.int64)
         points = self._points.copy()
-        points[:, self.count - way.size :] += shifts[way].T
+        shifted = points[:, self.count - self._way_frac.size :]
+        way = np.floor(self._way_frac * len(shifts)).astype(np.int64)
+        for number, shift in enumerate(shifts):
+            shifted[:, way == number] = _shifted_in_strata(shifted[:, way == number], shift)
         log_ratio = shifts @ points - 0.5 * (shifts**2).sum(axis=1)[:, None]
         ratio = np.exp(log_ratio).mean(axis=0)
         weights = 1.0 / (1.0 - self._shifted_frac + self._shifted_frac * ratio)
@@ -136,6 +138,27 @@ class _TailScale:
     slope: float
 
 
+def _shifted_in_strata(points: Floats, shift: Floats) -> Floats:
+    """Return the points shifted, with mid-quantiles of their ranks along the shift."""
+    length = float(np.linalg.norm(shift))
+    if length < 1e-9:
+        return points
+    unit = shift / length
+    along = unit @ points
+    return points + np.outer(unit, length + _mid_quantiles(along) - along)
+
+
+def _mid_quantiles(values: Floats) -> Floats:
+    """Return the standard normal mid-quantiles of the values' ranks, along the first axis."""
+    ranks = values.argsort(axis=0).argsort(axis=0)
+    return _quantiles(len(values))[ranks]
+
+
+@lru_cache(maxsize=512)
+def _quantiles(count: int) -> Floats:
+    return normal_quantile((np.arange(count) + 0.5) / count)
+
+
 def _shift(
     need: NeedSpread, path_root: Floats, error_root: Floats, tail: _TailScale | None
 ) -> Floats:
@@ -161,8 +184,7 @@ def _low_discrepancy_normals(count: int, dimensions: int) -> Floats:
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1.0))
     steps = ratio ** -np.arange(1.0, dimensions + 1.0)
     uniform = (0.5 + np.arange(1.0, count + 1.0)[:, None] * steps) % 1.0
-    ranks = uniform.argsort(axis=0).argsort(axis=0)
-    return normal_quantile((ranks + 0.5) / count)
+    return _mid_quantiles(uniform)
 
 
 def _shifted_nodes(shift_frac: Floats) -> tuple[Floats, Floats]:

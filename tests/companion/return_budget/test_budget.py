@@ -195,7 +195,7 @@ def test_the_few_samples_agree_with_very_many() -> None:
 
 def test_more_energy_is_never_worse() -> None:
     for ahead in (RETURN, mission(1800.0, 6, 3)):
-        answers = [judge(ahead, left, min_success=0.0) for left in np.arange(25.0, 100.0, 5.0)]
+        answers = [judge(ahead, left) for left in np.arange(25.0, 100.0, 2.5)]
         margins = [a.margin_wh for a in answers]
         now = [a.p_home_now for a in answers]
         assert np.all(np.diff(margins) > 0.0)
@@ -293,7 +293,7 @@ def test_the_gate_is_option_aware() -> None:
     ("distance_m", "legs", "done", "east_mps", "left_wh"),
     [
         (2500.0, 8, 0, -6.0, 45.0),  # the energy does not suffice for the whole trip
-        (420.0, 2, 0, 13.0, 40.0),  # it does, barely: a later gate turns back
+        (420.0, 2, 0, 13.0, 41.0),  # it does, barely: a later gate turns back
         (420.0, 5, 2, 13.0, 40.0),  # in flight
         (1200.0, 5, 2, 8.0, 52.0),
     ],
