@@ -83,7 +83,8 @@ class Sheet:
 
     def _csv_columns(self) -> Iterator[list[str]]:
         """Yield columns of one value a cell, heading first; an unknown number is empty."""
-        for head, cells in zip(self.head, zip(*self.rows, strict=True), strict=True):
+        columns = zip(*self.rows, strict=True) if self.rows else [()] * len(self.head)
+        for head, cells in zip(self.head, columns, strict=True):
             several = next((each.values for each in cells if isinstance(each, Figures)), None)
             if several is None:
                 yield _csv_column(head, [str(each) for each in cells])
