@@ -83,7 +83,9 @@ class Sheet:
 
     def _csv_columns(self) -> Iterator[list[str]]:
         """Yield columns of one value a cell, heading first; an unknown number is empty."""
-        columns = zip(*self.rows, strict=True) if self.rows else [()] * len(self.head)
+        columns: Iterable[tuple[Cell, ...]] = (
+            zip(*self.rows, strict=True) if self.rows else [()] * len(self.head)
+        )
         for head, cells in zip(self.head, columns, strict=True):
             several = next((each.values for each in cells if isinstance(each, Figures)), None)
             if several is None:
