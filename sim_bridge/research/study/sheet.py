@@ -83,10 +83,10 @@ class Sheet:
 
     def _csv_columns(self) -> Iterator[list[str]]:
         """Yield columns of one value a cell, heading first; an unknown number is empty."""
-        columns: Iterable[tuple[Cell, ...]] = (
-            zip(*self.rows, strict=True) if self.rows else [()] * len(self.head)
-        )
-        for head, cells in zip(self.head, columns, strict=True):
+        if not self.rows:
+            yield from ([head] for head in self.head)
+            return
+        for head, cells in zip(self.head, zip(*self.rows, strict=True), strict=True):
             several = next((each.values for each in cells if isinstance(each, Figures)), None)
             if several is None:
                 yield _csv_column(head, [str(each) for each in cells])
