@@ -75,6 +75,7 @@ ADDED = {
     *("gnss_alt_m", "gnss_alt_std_m", "pack_resistance", "current_gain"),
     *("yaw_rate_rps", "tilt_rates_rps", "lat_lon_deg", "unanswered", "columns"),
     *("roster", "revoked_since", "recorded_s", "p_home_stated", "required_p_home"),
+    "independent_returns",
     *("p_home_next", "p_home_onward", "p_success_onward", "sites", "p_home_stated_min"),
     *("low_spare_wh", "contact_timeout_s", "customer", "phone", "address", "earliest_us"),
     *("latest_us", "priority", "service_s"),

@@ -1,11 +1,14 @@
 """Scores of a wind process on held-out wind."""
 
+import dataclasses
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
+from scipy.special import ndtri, stdtrit
 
 from companion.analysis.wind_fit.fit import (
     MEAN_S,
@@ -24,8 +27,11 @@ from companion.analysis.wind_fit.score import (
     outlook_forecasts_by_horizon,
     running_mean_errors_by_horizon,
     score_forecasts,
+    standardised_errors,
     with_constant_std,
 )
+from companion.core.certificate.evidence import RETURN_S
+from companion.core.certificate.support import COVERAGE
 from companion.core.wind.process import WindProcessParams
 
 BLOCK_S = 1200.0
@@ -53,22 +59,41 @@ def fit_wind_process_with_tail(
     process_part_count: int,
     on_evaluation: Callable[[], None] = lambda: None,
 ) -> WindFit:
-    """Return the fit, with tails fitted to its forecast errors."""
+    """Return the fit, with tails and differences between sites from its forecast errors."""
     fit = fit_wind_process_to_recordings(recordings, name, process_part_count, on_evaluation)
-    forecasts = concatenate_forecasts_by_horizon(
-        [
-            _process_forecasts_by_horizon(
-                fit.process, recording_as_validation_interval(r), on_evaluation
-            )
-            for r in recordings
-        ]
+    forecasts: dict[str, list[dict[float, Forecasts]]] = {}
+    for r in recordings:
+        interval = recording_as_validation_interval(r)
+        found = _process_forecasts_by_horizon(fit.process, interval, on_evaluation)
+        forecasts.setdefault(r.site, []).append(found)
+    merged = {s: concatenate_forecasts_by_horizon(found) for s, found in forecasts.items()}
+    errors = {s: z for s, found in merged.items() if (z := standardised_errors(found)).size}
+    factors = {s: float(np.mean(z**2)) for s, z in errors.items()}
+    process = replace(
+        fit.process,
+        tail_dof=fit_student_t_dof(tuple(errors.values())),
+        independent_returns=independent_returns(fit.mean_count * MEAN_S, tuple(factors.values())),
     )
-    return WindFit(
-        replace(fit.process, tail_dof=fit_student_t_dof(forecasts)),
-        fit.log_std,
-        fit.log_likelihood,
-        fit.mean_count,
-    )
+    if len(factors) > 1:  # the middle site: hours at one do not outweigh the others
+        middle = math.exp(float(np.mean(np.log([*factors.values()]))))
+        process = process.with_scaled_variances(middle)
+        factors = {s: f / middle for s, f in factors.items()}
+    return dataclasses.replace(fit, process=process, site_factors=factors)
+
+
+def independent_returns(recorded_s: float, site_factors: Sequence[float]) -> float | None:
+    """Return the independent observations behind the variance of another site; None for one site.
+
+    The relative variance of a variance from n observations is 2 / n. Of another site it is that of
+    Student's prediction from the logarithms of the sites' variances, s^2 (1 + 1 / sites), widened
+    by t over the normal quantile. No number of hours at a few sites makes it smaller.
+    """
+    sites = len(site_factors)
+    if sites < 2:
+        return None
+    widened = float(stdtrit(sites - 1, COVERAGE) / ndtri(COVERAGE)) ** 2 * (1.0 + 1.0 / sites)
+    spread = widened * float(np.var(np.log(site_factors), ddof=1))
+    return 1.0 / (RETURN_S / recorded_s + 0.5 * spread)
 
 
 def recording_as_validation_interval(recording: AveragedWind) -> ValidationInterval:
@@ -174,22 +199,28 @@ def _process_forecasts_by_horizon(
 def _test_and_training_folds(
     recordings: Sequence[AveragedWind],
 ) -> list[tuple[list[ValidationInterval], list[AveragedWind]]]:
-    """Assign intervals of JUDGED_BLOCKS blocks to folds in turn; return them with the rest."""
-    test_intervals: list[tuple[int, float, float]] = []
+    """Assign the sites, or intervals of VALIDATION_BLOCKS blocks of a single site, to folds in
+    turn; return them with the rest.
+    """
+    groups: dict[object, list[tuple[int, float, float]]] = {}
+    whole_sites = len({r.site for r in recordings}) > 1
     for number, recording in enumerate(recordings):
         first, last = float(recording.t_s[0]), float(recording.t_s[-1]) + MEAN_S
         count = max(round((last - first) / (VALIDATION_BLOCKS * BLOCK_S)), 1)
-        edges = np.linspace(first, last, count + 1)
-        test_intervals += [(number, float(a), float(b)) for a, b in itertools.pairwise(edges)]
-    count = min(MAX_FOLDS, len(test_intervals))
+        edges = np.linspace(first, last, 2 if whole_sites else count + 1)
+        for a, b in itertools.pairwise(edges):
+            group = recording.site if whole_sites else (number, a)
+            groups.setdefault(group, []).append((number, float(a), float(b)))
+    count = min(MAX_FOLDS, len(groups))
     if count < 2:
         return []
+    folds = [list(itertools.chain(*[*groups.values()][f::count])) for f in range(count)]
     return [
         (
-            [ValidationInterval(recordings[n], a, b) for n, a, b in test_intervals[fold::count]],
-            _recordings_without_intervals(recordings, test_intervals[fold::count]),
+            [ValidationInterval(recordings[n], a, b) for n, a, b in intervals],
+            _recordings_without_intervals(recordings, intervals),
         )
-        for fold in range(count)
+        for intervals in folds
     ]
 
 
@@ -205,7 +236,13 @@ def _recordings_without_intervals(
         index = np.flatnonzero(keep)
         for run in np.split(index, np.flatnonzero(np.diff(index) > 1) + 1):
             if run.size > 1:
-                left.append(AveragedWind(recording.t_s[run], recording.wind_to_ne_mps[run]))
+                left.append(
+                    dataclasses.replace(
+                        recording,
+                        t_s=recording.t_s[run],
+                        wind_to_ne_mps=recording.wind_to_ne_mps[run],
+                    )
+                )
     return left
 
 

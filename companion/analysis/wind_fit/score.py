@@ -19,7 +19,7 @@ from companion.core.wind.forecast import WindOutlook
 from companion.core.wind.process import WindProcessParams
 
 HORIZONS_S = (60.0, 150.0, 300.0, 600.0, 1200.0)
-COVERAGES = (0.90, 0.98, 0.99)
+COVERAGES = (0.90, 0.98, 0.99, 0.999)
 HISTORY_S = 300.0
 TAIL_HORIZON_S = 300.0
 TAIL_DOFS = (5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0)
@@ -78,23 +78,27 @@ def score_forecasts(
         kurtosis=float(np.mean(z**4) / np.mean(z**2) ** 2),
         nll=-float(np.mean(_unit_variance_log_density(z, tail_dof) - np.log(std))),
         coverage=tuple(float(np.mean(z <= limit)) for limit in limits),
-        upper99_ratio=float(np.quantile(z, 0.99)) / limits[-1],
+        upper99_ratio=float(np.quantile(z, 0.99)) / limits[COVERAGES.index(0.99)],
     )
 
 
-def fit_student_t_dof(forecasts_by_horizon: dict[float, Forecasts]) -> float | None:
-    """Return the Student-t degrees of freedom of the errors; None if a normal law fits as well.
-
-    Maximum likelihood over the horizons up to TAIL_HORIZON_S: beyond, a recording of hours has too
-    few independent errors to distinguish a tail from a trend.
+def standardised_errors(forecasts_by_horizon: dict[float, Forecasts]) -> Floats:
+    """Return errors over stated standard deviations, of the horizons up to TAIL_HORIZON_S: beyond,
+    a recording of hours has too few independent errors to distinguish a tail from a trend.
     """
-    z = np.concatenate(
+    return np.concatenate(
         [(f[0] / f[1]).ravel() for h, f in forecasts_by_horizon.items() if h <= TAIL_HORIZON_S]
         or [np.zeros(0)]
     )
-    if z.size == 0:
+
+
+def fit_student_t_dof(errors_by_site: Sequence[Floats]) -> float | None:
+    """Return the Student-t degrees of freedom of standardised errors, by maximum likelihood; None
+    if a normal law fits as well. Each site has its own variance.
+    """
+    if not errors_by_site:
         return None
-    z = z / math.sqrt(float(np.mean(z**2)))
+    z = np.concatenate([e / math.sqrt(float(np.mean(e**2))) for e in errors_by_site])
     density = {
         dof: float(np.mean(_unit_variance_log_density(z, dof))) for dof in (None, *TAIL_DOFS)
     }

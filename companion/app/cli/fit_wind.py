@@ -14,7 +14,10 @@ app = typer.Typer()
 @app.command(name="fit-wind")
 def fit_wind_command(
     logs: Annotated[
-        list[Path], typer.Argument(help="Recordings: CSV of t_s, wind_speed_mps, wind_from_deg.")
+        list[Path],
+        typer.Argument(
+            help="CSV of t_s, wind_speed_mps, wind_from_deg, or folders of them: one per site."
+        ),
     ],
     out: Annotated[Path | None, typer.Option(help="Output file (wind-process/1, TOML).")] = None,
     name: Annotated[

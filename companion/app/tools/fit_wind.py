@@ -41,14 +41,18 @@ class WindFitResult:
 def read_averaged_wind_recordings(
     log_paths: Sequence[Path], print_line: Callable[[str], None]
 ) -> tuple[AveragedWind, ...]:
-    """Return the 10 s means of all logs; `print_line` reports excluded rows by file and line."""
+    """Return the 10 s means of all logs; `print_line` reports excluded rows by file and line.
+
+    A folder is one site; files given by themselves are one more.
+    """
     recordings: list[AveragedWind] = []
-    for path in log_paths:
+    used_h: dict[str, float] = {}
+    for path, site in _log_files_and_sites(log_paths, print_line):
         found = read_wind_log(path)
         for words in found.findings:
             print_line(f"{path}: {words}")
         averaged_segments = [
-            m for r in found.segments for m in average_wind_over_10_s(r.t_s, r.wind_to_ne_mps)
+            m for r in found.segments for m in average_wind_over_10_s(r.t_s, r.wind_to_ne_mps, site)
         ]
         used_s = sum(m.t_s.size for m in averaged_segments) * MEAN_S
         print_line(
@@ -56,7 +60,44 @@ def read_averaged_wind_recordings(
             " a gap"
         )
         recordings += averaged_segments
+        used_h[site] = used_h.get(site, 0.0) + used_s / 3600.0
+    for site, hours in used_h.items():
+        print_line(f"{site}: {hours:.1f} h of wind")
+    if len(used_h) > 1:
+        print_line(f"{len(used_h)} sites: {sum(used_h.values()):.1f} h of wind")
     return tuple(recordings)
+
+
+def _log_files_and_sites(
+    log_paths: Sequence[Path], print_line: Callable[[str], None]
+) -> list[tuple[Path, str]]:
+    """Return each recording with its site; LeewayError for a folder without recordings, or for a
+    recording given twice.
+    """
+    files: list[tuple[Path, str]] = []
+    for path in log_paths:
+        if not path.is_dir():
+            files.append((path, "files given by name"))
+            continue
+        try:
+            inside = sorted(path.iterdir())
+        except OSError as error:
+            raise LeewayError(f"{path}: {error.strerror}") from error
+        logs = [p for p in inside if p.suffix.lower() == ".csv" and p.is_file()]
+        if not logs:
+            raise LeewayError(
+                f"{path}: no *.csv among {len(inside)} entries: expected recordings of one site"
+                " (a folder of sites: give its subfolders)"
+            )
+        if len(logs) < len(inside):
+            print_line(f"{path}: {len(inside) - len(logs)} entries that are not *.csv: not read")
+        files += [(p, str(path)) for p in logs]
+    given: set[Path] = set()
+    for path, _ in files:
+        if path.resolve() in given:
+            raise LeewayError(f"{path}: given twice: expected each recording once")
+        given.add(path.resolve())
+    return files
 
 
 def fit_and_cross_validate_wind(
@@ -127,6 +168,12 @@ def _fitted_parameter_table(fit: WindFit) -> Table:
     table.caption = (
         f"tails: {tails}; log likelihood {fit.log_likelihood:.1f} nats of {fit.mean_count} means"
     )
+    if process.independent_returns is not None:
+        sites = "; ".join(f"{Path(s).name} {f:.2f}" for s, f in fit.site_factors.items())
+        table.caption += (
+            f"\nsquared error up to 300 s over the stated variance: {sites}"
+            f"\n{process.independent_returns:.0f} independent returns"
+        )
     return table
 
 
@@ -198,12 +245,12 @@ def _wind_process_toml(
         f"# {fit.mean_count} means of 10 s, by their likelihood. One sigma of each:",
         f"#   memories {'; '.join(spans)} s",
         f"#   variances {'; '.join(widths)} m2/s2",
-        *_holdout_comment_lines(fit_result.holdout),
+        *_holdout_comment_lines(fit_result.holdout, len(fit.site_factors)),
         'format = "wind-process/1"',
         f"name = {_quote_toml_string(process.name)}",
         f"memory_s = [{', '.join(f'{m:.4g}' for m in process.memory_s)}] # [fit]",
         f"variance_m2ps2 = [{', '.join(f'{v:.4g}' for v in process.variance_m2ps2)}] # [fit]",
-        f"reference_wind_mps = {process.reference_wind_mps:.4g} # mean wind of the recordings",
+        f"reference_wind_mps = {process.reference_wind_mps:.4g} # mean wind of the (windiest) site",
         f"least_scale = {process.least_scale:g} # [est] light wind is no steadier than this share",
         f"most_scale = {process.most_scale:g}",
         f"level_std_mps = {process.level_std_mps:g} # any wind",
@@ -211,6 +258,12 @@ def _wind_process_toml(
     ]
     if process.recorded_s is not None:
         lines.append(f"recorded_s = {process.recorded_s:g} # behind these parameters")
+    if process.independent_returns is not None:
+        sites = ", ".join(f"{f:.2f}" for f in fit.site_factors.values())
+        lines.append(
+            f"independent_returns = {process.independent_returns:.3g}"
+            f" # the sites' variances differ: {sites}"
+        )
     if process.tail_dof is not None:
         lines.append(f"tail_dof = {process.tail_dof:g} # [fit] forecast errors up to 300 s ahead")
     return "\n".join(lines) + "\n"
@@ -226,12 +279,14 @@ def _quote_toml_string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _holdout_comment_lines(holdout: Holdout | None) -> list[str]:
+def _holdout_comment_lines(holdout: Holdout | None, site_count: int) -> list[str]:
     if holdout is None:
         return ["# Not scored on held-out wind: the recordings are too short to divide."]
+    held_out = "whole sites" if site_count > 1 else "40-minute stretches"
     lines = [
-        f"# Held out ({len(holdout.folds)} folds of 40-minute stretches): error of the forecast",
-        "# headwind, m/s (mean of the last 30 s, of the last 300 s); errors within 90/98/99 %:",
+        f"# Held out ({len(holdout.folds)} folds of {held_out}): error of the forecast",
+        "# headwind, m/s (mean of the last 30 s, of the last 300 s); errors within"
+        f" {'/'.join(f'{100 * c:g}' for c in COVERAGES)} %:",
     ]
     for horizon_s in sorted({s.horizon_s for s in holdout.scores}):
         by = {s.method: s for s in holdout.scores if s.horizon_s == horizon_s}

@@ -7,8 +7,9 @@ scaled inverse chi-square with n degrees of freedom (Gelman and others, Bayesian
 evidence of a decision is its P(home) with both variances at these bounds, the lower credible bound
 over their posterior.
 
-Observations of the wind: the recorded time behind the process, in blocks of one return. Of the
-draw: the certificate's days, because flights of one day are not exchangeable; an airframe without a
+Observations of the wind: the recorded time behind the process, in blocks of one return, or the
+fewer independent ones that the process states because its sites differ. Of the draw: the
+certificate's days, because flights of one day are not exchangeable; an airframe without a
 certificate counts as one with the fewest days.
 """
 
@@ -48,9 +49,16 @@ class RiskEvidence:
     @property
     def doubt(self) -> ModelDoubt:
         """Bounds of the models' spread."""
-        returns = (self.wind_process.recorded_s or 0.0) / RETURN_S
         days = MIN_DAYS if self.certificate is None else len(self.certificate.days)
-        return ModelDoubt(variance_upper_factor(returns), math.sqrt(variance_upper_factor(days)))
+        return ModelDoubt(
+            variance_upper_factor(self._returns), math.sqrt(variance_upper_factor(days))
+        )
+
+    @property
+    def _returns(self) -> float:
+        recorded = (self.wind_process.recorded_s or 0.0) / RETURN_S
+        stated = self.wind_process.independent_returns
+        return recorded if stated is None else min(recorded, stated)
 
     @property
     def sources_text(self) -> str:
@@ -60,7 +68,7 @@ class RiskEvidence:
             f"no recorded wind (wind process {process.name}: recorded_s is missing)"
             if process.recorded_s is None
             else f"{process.recorded_s / 3600.0:.1f} h of recorded wind ({process.name},"
-            f" {process.recorded_s / RETURN_S:.0f} returns)"
+            f" {self._returns:.0f} returns)"
         )
         if certificate is None:
             return f"{wind} and no certified flights"

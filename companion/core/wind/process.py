@@ -48,6 +48,9 @@ class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     recorded_s: float | None = None
     """Recorded wind that the parameters were fitted to. Absent: none, so that no P(home) has
     support."""
+    independent_returns: float | None = None
+    """Returns that count as independent, fewer than recorded where the sites differ. Absent: every
+    300 s of `recorded_s`."""
     tail_dof: float | None = None
     """Degrees of freedom of the Student-t distribution of changes of the wind. Absent: Gaussian."""
 
@@ -72,6 +75,8 @@ class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         check_range("seen_noise_std_mps", self.seen_noise_std_mps, 0.01, 5.0)
         if self.recorded_s is not None:
             check_range("recorded_s", self.recorded_s, 1.0, 1e9)
+        if self.independent_returns is not None:
+            check_range("independent_returns", self.independent_returns, 0.0, 1e7)
         if self.tail_dof is not None:
             check_range("tail_dof", self.tail_dof, 3.0, 1000.0)
 

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from companion.adapters.files.params import read_wind_process
+from companion.analysis.wind_fit.holdout import independent_returns
 from companion.core.base.probability import home_probability_text
 from companion.core.certificate.evidence import (
     MAX_VARIANCE_FACTOR,
@@ -46,6 +47,27 @@ def test_more_recorded_wind_and_certified_days_leave_less_doubt_and_are_named() 
     assert "1.8 h of recorded wind (coast, 22 returns) and no certified" in alone.summary_text
     assert "11 certified flights on 11 days" in certified.missing_support_text(0.001)
     assert alone.missing_support_text(SUPPORTED_LOSS) == ""
+
+
+def test_sites_that_differ_bound_the_wind_of_another_site() -> None:
+    """The bound holds at 95 % of further sites, also from few; more hours cannot narrow it."""
+    random = np.random.default_rng(2)
+    for sites in (2, 5):
+        held = []
+        for _ in range(800):
+            *known, other = np.exp(0.4 * random.standard_normal(sites + 1))
+            count = independent_returns(1e6, known)
+            assert count is not None
+            middle = math.exp(np.log(known).mean())
+            held.append(other <= middle * variance_upper_factor(count))
+        assert 0.94 <= np.mean(held) <= 0.99
+    assert independent_returns(6640.0, [1.0]) is None
+    assert independent_returns(6000.0, [1.0, 1.0, 1.0]) == pytest.approx(20.0)
+    five = msgspec.structs.replace(COAST, recorded_s=36000.0, independent_returns=14.0)
+    assert RiskEvidence(five).doubt.wind_variance_factor == variance_upper_factor(14.0)
+    assert "10.0 h of recorded wind (coast, 14 returns)" in RiskEvidence(five).summary_text
+    unlike = msgspec.structs.replace(five, independent_returns=0.0)
+    assert RiskEvidence(unlike).doubt.wind_variance_factor == MAX_VARIANCE_FACTOR
 
 
 class ScaledWind:

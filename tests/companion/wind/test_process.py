@@ -188,13 +188,21 @@ def test_samples_with_a_tail_have_the_stated_variance_and_students_quantiles() -
     assert np.quantile(drawn, 0.995) == pytest.approx(expected, rel=0.03)
 
 
+def test_errors_as_stated_score_as_stated() -> None:
+    errors = np.random.default_rng(9).standard_normal((200_000, 4))
+    score = score_forecasts("drawn", 60.0, (errors, np.ones_like(errors)))
+    assert score.coverage == pytest.approx((0.9, 0.98, 0.99, 0.999), abs=1e-3)
+    assert score.upper99_ratio == pytest.approx(1.0, abs=0.01)
+
+
 def test_the_tail_that_is_fitted_is_that_of_the_errors() -> None:
     random = np.random.default_rng(6)
-    heavy = random.standard_t(5.0, (6000, 4)) * np.sqrt(3.0 / 5.0)
-    normal = random.standard_normal((6000, 4))
-    ones, moments = np.ones((6000, 4)), np.zeros(6000)
-    assert fit_student_t_dof({60.0: (heavy, ones, moments)}) in (5.0, 6.0)
-    assert fit_student_t_dof({60.0: (normal, ones, moments)}) in (None, 30.0)
+    heavy = random.standard_t(5.0, 24_000)
+    normal = random.standard_normal(24_000)
+    assert fit_student_t_dof([heavy]) in (5.0, 6.0)
+    assert fit_student_t_dof([normal]) in (None, 30.0)
+    assert fit_student_t_dof([normal, 3.0 * normal]) in (None, 30.0)  # two sites, no tail
+    assert fit_student_t_dof([]) is None
 
 
 def test_what_the_process_says_of_its_own_wind_is_calibrated() -> None:

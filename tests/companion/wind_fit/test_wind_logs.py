@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from typer.testing import CliRunner
 
 from companion.adapters.logs.wind_logs import read_wind_log
@@ -217,3 +218,65 @@ def test_the_coast_recording_has_nothing_wrong_and_a_flip_put_in_is_found(tmp_pa
     assert used(found) == pytest.approx(len(lines) - 1 - 215, abs=2)
     (words,) = found.findings[:1]
     assert words.startswith("lines 3002 to 3216: direction turned by half a circle")
+
+
+def site_folder(folder: Path, gust_mps: float, seed: int) -> Path:
+    """A site's folder with 40 minutes of wind in gusts of a minute, in two recordings."""
+    random = np.random.default_rng(seed)
+    folder.mkdir()
+    gusts = lfilter([1.0], [1.0, -math.exp(-1.0 / 60.0)], random.standard_normal((2400, 2)), axis=0)
+    wind = np.array([0.0, -8.0]) + gust_mps * gusts / gusts.std()
+    for k in (0, 1):
+        table = [
+            [i, f"{math.hypot(*w):.2f}", f"{math.degrees(math.atan2(-w[1], -w[0])) % 360.0:.1f}"]
+            for i, w in enumerate(wind[1200 * k : 1200 * (k + 1)])
+        ]
+        written(folder, table).rename(folder / f"part{k}.CSV")
+    return folder
+
+
+def test_folders_are_sites_whose_differences_enter_the_evidence(tmp_path: Path) -> None:
+    calm, gusty = (site_folder(tmp_path / n, g, 4) for n, g in (("calm", 0.6), ("gusty", 1.2)))
+    (calm / "notes.txt").write_text("mast of 10 m")
+    out = tmp_path / "two.toml"
+    arguments = ["fit-wind", str(calm), str(gusty), "--parts", "2", "--out", str(out)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert f"{calm}: 1 entries that are not *.csv: not read" in result.output
+    assert f"{gusty}: 0.7 h of wind" in result.output
+    assert "2 sites: 1.3 h of wind" in result.output
+    assert "# Held out (2 folds of whole sites)" in out.read_text()
+    from companion.adapters.files.params import read_wind_process
+
+    process = read_wind_process(str(out))
+    assert process.recorded_s == 4800.0
+    assert process.independent_returns is not None
+    assert process.independent_returns < 1.0  # two sites that differ four times in variance
+    middle = math.sqrt(sum(process.variance_m2ps2))
+    assert 0.6 < middle < 1.2
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        ({}, "site: no *.csv among 0 entries: expected recordings of one site"),
+        ({"notes.txt": "mast"}, "site: no *.csv among 1 entries"),
+        ({"a.csv": "t_s,wind_speed_kn,wind_from_deg\n"}, "a.csv: line 1: column 'wind_speed_kn'"),
+    ],
+)
+def test_a_folder_without_a_usable_recording_is_refused(
+    tmp_path: Path, entries: dict[str, str], words: str
+) -> None:
+    (tmp_path / "site").mkdir()
+    for name, text in entries.items():
+        (tmp_path / "site" / name).write_text(text)
+    result = CliRunner().invoke(app, ["fit-wind", str(tmp_path / "site")])
+    assert result.exit_code == 2
+    assert words in result.output.replace("\n", "")
+
+
+def test_a_recording_counts_once(tmp_path: Path) -> None:
+    path = written(tmp_path, rows(200))
+    result = CliRunner().invoke(app, ["fit-wind", str(tmp_path), str(path)])
+    assert result.exit_code == 2
+    assert "site.csv: given twice" in result.output.replace("\n", "")
