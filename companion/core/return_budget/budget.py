@@ -328,16 +328,14 @@ class Gate:
     ) -> Assessment:
         table, budget, chances = evaluation.table, evaluation.budget, evaluation.chances
         unattended = table.unattended_return_energy_wh()
-        weights = table.weights
+        weights, promise = table.weights, 1.0 - accepted_loss
         need = table.whole_mission_energy_wh() if remaining.stages else chances.onward_need_wh
         return Assessment(
             t_s=wind_estimate.t_s,
             p_home=decision.p_home,
             p_home_now=chances.p_now,
             p_success=decision.p_success,
-            margin_wh=budget.margin_to_probability_wh(
-                chances.onward_need_wh, weights, 1.0 - accepted_loss
-            ),
+            margin_wh=budget.margin_to_probability_wh(chances.onward_need_wh, weights, promise),
             turn_back=decision.turn_back,
             best_landing=remaining.current_return_routes[chances.best_route_now].landing,
             p_home_unattended=None
@@ -346,7 +344,7 @@ class Gate:
             energy_left_wh=energy.mean_wh,
             energy_need_wh=budget.scale * float(weights @ need),
             reason=decision.reason,
-            required_p_home=1.0 - accepted_loss,
+            required_p_home=promise,
             p_home_next=chances.p_onward if remaining.stages else chances.p_now,
             p_home_onward=decision.p_home_onward,
             p_success_onward=decision.p_success_onward,
@@ -356,6 +354,6 @@ class Gate:
                 if remaining.stages
                 else [],
                 1.0 - self.params.max_loss,
-                1.0 - accepted_loss,
+                promise,
             ),
         )
