@@ -21,7 +21,7 @@ import numpy as np
 from companion.core.base.probability import chi_square_upper_quantile
 from companion.core.certificate.certificate import MIN_DAYS, Certificate, percent_text
 from companion.core.certificate.support import COVERAGE
-from companion.core.return_budget.assessment import RESOLVED_LOSS, ModelDoubt
+from companion.core.return_budget.assessment import SUPPORTED_LOSS, ModelDoubt
 from companion.core.wind.process import WindProcessParams
 
 RETURN_S = 300.0
@@ -87,9 +87,9 @@ class RiskEvidence:
 
     def missing_support_text(self, max_loss: float) -> str:
         """Return that this accepted loss is below what can be supported, as text; "": it is not."""
-        if max_loss >= RESOLVED_LOSS:
+        if max_loss >= SUPPORTED_LOSS:
             return ""
         return (
-            f"accepted loss of {percent_text(max_loss)} is below {percent_text(RESOLVED_LOSS)}, the"
-            f" smallest that is stated, by {self.sources_text}: it rests on the models"
+            f"accepted loss of {percent_text(max_loss)} is below {percent_text(SUPPORTED_LOSS)},"
+            f" the smallest that is stated, by {self.sources_text}: it rests on the models"
         )

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 from companion.core.return_budget.outcomes import SiteMargin
 
-SAMPLES = 256
-RESOLVED_LOSS = 1.0 / SAMPLES
-"""Smallest loss that is stated to people: the gate draws no rarer wind."""
+SUPPORTED_LOSS = 1.0 / 256.0
+"""Smallest loss that is stated to people: about the upper 95 % limit of the share lost of missions
+through recorded wind (docs/results/promise.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class GateParams:
     max_loss: float
     reserve_wh: float
     min_success: float = 0.05
-    samples: int = SAMPLES
+    samples: int = 384
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from companion.core.return_budget.assessment import (
-    RESOLVED_LOSS,
+    SUPPORTED_LOSS,
     Assessment,
     GateParams,
     ModelDoubt,
@@ -152,7 +152,7 @@ class Gate:
         model_error: ModelError | None = None,
     ) -> Assessment:
         """Return the assessment with its limit of evidence: P(home) of the same decision with the
-        models' spread at its upper bound, and at most 1 - `RESOLVED_LOSS`. It decides nothing.
+        models' spread at its upper bound, and at most 1 - `SUPPORTED_LOSS`. It decides nothing.
         """
         error = model_error or self._nominal_model_error()
         chances = self._evaluate_outcomes(
@@ -165,7 +165,7 @@ class Gate:
         p_home = chances.p_now
         if not assessment.turn_back:
             p_home, _ = chances.p_home_and_success_if_continuing(assessment.required_p_home)
-        return replace(assessment, p_home_limit=min(p_home, 1.0 - RESOLVED_LOSS))
+        return replace(assessment, p_home_limit=min(p_home, 1.0 - SUPPORTED_LOSS))
 
     def decide_for_each_accepted_loss(
         self,
@@ -231,7 +231,13 @@ class Gate:
             self._sampler.resistance_deviates,
         )
         table = LegTable(
-            self._route_energy, remaining, wind_estimate, wind_outlook, self._sampler, power_need
+            self._route_energy,
+            remaining,
+            wind_estimate,
+            wind_outlook,
+            self._sampler,
+            budget.std_of_need_wh,
+            power_need,
         )
         return _Evaluation(table, budget, OutcomeProbabilities(table, budget, self._sampler))
 
@@ -322,22 +328,23 @@ class Gate:
     ) -> Assessment:
         table, budget, chances = evaluation.table, evaluation.budget, evaluation.chances
         unattended = table.unattended_return_energy_wh()
+        weights, promise = table.weights, 1.0 - accepted_loss
         need = table.whole_mission_energy_wh() if remaining.stages else chances.onward_need_wh
         return Assessment(
             t_s=wind_estimate.t_s,
             p_home=decision.p_home,
             p_home_now=chances.p_now,
             p_success=decision.p_success,
-            margin_wh=budget.margin_to_probability_wh(chances.onward_need_wh, 1.0 - accepted_loss),
+            margin_wh=budget.margin_to_probability_wh(chances.onward_need_wh, weights, promise),
             turn_back=decision.turn_back,
             best_landing=remaining.current_return_routes[chances.best_route_now].landing,
             p_home_unattended=None
             if unattended is None
-            else float(budget.probability_need_is_met(unattended).mean()),
+            else float(weights @ budget.probability_need_is_met(unattended)),
             energy_left_wh=energy.mean_wh,
-            energy_need_wh=budget.scale * float(need.mean()),
+            energy_need_wh=budget.scale * float(weights @ need),
             reason=decision.reason,
-            required_p_home=1.0 - accepted_loss,
+            required_p_home=promise,
             p_home_next=chances.p_onward if remaining.stages else chances.p_now,
             p_home_onward=decision.p_home_onward,
             p_success_onward=decision.p_success_onward,
@@ -347,6 +354,6 @@ class Gate:
                 if remaining.stages
                 else [],
                 1.0 - self.params.max_loss,
-                1.0 - accepted_loss,
+                promise,
             ),
         )

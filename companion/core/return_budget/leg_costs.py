@@ -5,26 +5,27 @@ at its midpoint, at the time of the midpoint in the mean wind.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from companion.core.base.arrays import Floats, Ints
-from companion.core.base.geo import Ned, course_rad, horizontal_distance_m, wrap_pi
+from companion.core.base.geo import Ned
 from companion.core.return_budget.power_need import PowerNeed, additional_need_wh
-from companion.core.return_budget.remaining_mission import RemainingMission, Stage
-from companion.core.return_budget.wind_samples import PathSampler
-from companion.core.routing.leg_energy import MIN_LEG_M, Leg, LegKind, RouteEnergy
+from companion.core.return_budget.remaining_mission import (
+    RemainingMission,
+    merge_straight_cruise_legs,
+    reduce_decision_points,
+)
+from companion.core.return_budget.wind_samples import NeedSpread, PathSampler
+from companion.core.routing.leg_energy import Leg, LegBatch, LegKind, RouteEnergy
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindForecast, WindForecaster
 
 _NODES_S = np.array([0.0, 20.0, 45.0, 90.0, 150.0, 240.0, 360.0, 540.0, 800.0, 1200.0])
-_MERGE_M = 450.0  # straight cruise legs are merged up to this length
-_MERGE_TURN_RAD = math.radians(3.0)
-# Later gates are simulated for every other sample only: it is the most costly part, and the tail
-# of the distribution comes from all samples.
+# Later gates are simulated for every other sample only: it is the most costly part.
 POLICY_SAMPLES = slice(None, None, 2)
-_MAX_DECISION_POINTS = 6  # maximum number of decision points after thinning
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +87,11 @@ class LegTable:
         wind: WindBelief,
         outlook: WindForecaster,
         sampler: PathSampler,
+        other_std_wh: Callable[[Floats], Floats],
         power_need: PowerNeed | None = None,
     ) -> None:
         self._route_energy, self._power_need = route_energy, power_need
+        self._other_std_wh = other_std_wh
         self._leg_list: list[Leg] = []
         self._before: list[Leg | None] = []
         self._stage: list[_Span] = []
@@ -277,8 +280,15 @@ class LegTable:
         sampler: PathSampler,
     ) -> None:
         at_leg = _interpolation_weights_at(midpoint_times_s)
-        wind_process = sampler.sample_wind_paths(forecast)
-        wind = at_leg @ wind_process + sampler.sample_wind_estimate_errors(forecast)
+        mean = forecast.mean_to_ne_mps.mean(axis=0)
+        ways = [
+            [row for span in (*self._stage[:point], routes[0]) for row in _row_range(span)]
+            for point, routes in enumerate(self._routes)
+        ]
+        legs = self._route_energy, self._compiled
+        draws = sampler.draw(forecast, _need_spreads(*legs, mean, at_leg, ways, self._other_std_wh))
+        wind = at_leg @ draws.path_ne_mps + draws.estimate_error_ne_mps
+        self.weights = draws.weights
         costs = self._route_energy.leg_costs_leg_major(self._compiled, wind[0], wind[1])
         self._energy = costs.energy_wh
         self._remaining_need = self._power_need and self._power_need.remaining_need_by_leg_wh(
@@ -289,7 +299,7 @@ class LegTable:
                 forecast,
                 at_leg,
                 _interpolation_weights_at(arrival_times_s),
-                wind_process[:, :, POLICY_SAMPLES],
+                draws.path_ne_mps[:, :, POLICY_SAMPLES],
             )
 
     def _compute_later_needs(
@@ -355,6 +365,25 @@ class LegTable:
         return np.array(leg_list), np.array(origin)
 
 
+def _need_spreads(
+    route_energy: RouteEnergy,
+    legs: LegBatch,
+    mean_wind_to_ne_mps: Floats,
+    node_weights_by_leg: Floats,
+    ways_home: list[list[int]],
+    other_std_wh: Callable[[Floats], Floats],
+) -> list[NeedSpread]:
+    """Return the spread of the need of each way home (rows of legs), at the mean wind."""
+    gradient = route_energy.leg_energy_gradients_wh_per_mps(legs, mean_wind_to_ne_mps)
+    energy_wh = route_energy.leg_costs_wind_major(legs, mean_wind_to_ne_mps[None, :]).energy_wh[0]
+    return [
+        NeedSpread(
+            node_weights_by_leg[rows].T @ gradient[rows], float(other_std_wh(energy_wh[rows].sum()))
+        )
+        for rows in ways_home
+    ]
+
+
 def _shift_end_to(leg: Leg, position: Ned) -> Leg:
     """Shift a leg so that it ends at `position`; its course gives the turn angle there.
 
@@ -368,66 +397,6 @@ def _shift_end_to(leg: Leg, position: Ned) -> Leg:
 def _minimum_need(needs: list[Need]) -> Need:
     """Return the minimum of alternative needs per sample, with the std of the first."""
     return Need(np.min([need.wh for need in needs], axis=0), needs[0].std_wh)
-
-
-def reduce_decision_points(remaining: RemainingMission) -> RemainingMission:
-    """Reduce the mission to `_MAX_DECISION_POINTS` decision points: the next, the last two, some
-    others.
-
-    A gate that decides less often has a slightly lower P(home), so the result is conservative.
-    """
-    count = len(remaining.stages)
-    if count <= _MAX_DECISION_POINTS:
-        return remaining
-    kept = {0, count - 2, count - 1}
-    kept |= {round(i) for i in np.linspace(0, count - 2, _MAX_DECISION_POINTS - 1)}
-    stages: list[Stage] = []
-    leg_list: tuple[Leg, ...] = ()
-    for i, stage in enumerate(remaining.stages):
-        leg_list += stage.leg_sequence
-        if i in kept:
-            stages.append(replace(stage, leg_sequence=leg_list))
-            leg_list = ()
-    return replace(remaining, stages=tuple(stages))
-
-
-def merge_straight_cruise_legs(leg_list: tuple[Leg, ...]) -> list[Leg]:
-    """Merge straight cruise legs. Each merged leg is evaluated at its midpoint wind."""
-    merged: list[Leg] = []
-    for leg in leg_list:
-        before = merged[-1] if merged else None
-        if before is not None and _can_merge_legs(before, leg):
-            merged[-1] = replace(before, to_ned_m=leg.to_ned_m)
-        else:
-            merged.append(leg)
-    return merged
-
-
-def _can_merge_legs(previous_leg: Leg, leg: Leg) -> bool:
-    if previous_leg.kind is not LegKind.CRUISE or leg.kind is not LegKind.CRUISE:
-        return False
-    same_settings = (
-        previous_leg.payload_kg,
-        previous_leg.airspeed_mps,
-        previous_leg.ground_speed_mps,
-    ) == (
-        leg.payload_kg,
-        leg.airspeed_mps,
-        leg.ground_speed_mps,
-    )
-    if not same_settings or previous_leg.to_ned_m != leg.from_ned_m:
-        return False
-    if horizontal_distance_m(previous_leg.from_ned_m, leg.to_ned_m) > _MERGE_M:
-        return False
-    rises_m = [
-        previous_leg.to_ned_m[2] - previous_leg.from_ned_m[2],
-        leg.to_ned_m[2] - leg.from_ned_m[2],
-    ]
-    if rises_m[0] * rises_m[1] < 0.0 and min(map(abs, rises_m)) > MIN_LEG_M:
-        return False  # over a ridge: the descent does not recover the energy of the climb
-    before_rad = course_rad(previous_leg.from_ned_m, previous_leg.to_ned_m)
-    turn_rad = wrap_pi(course_rad(leg.from_ned_m, leg.to_ned_m) - before_rad)
-    return abs(turn_rad) < _MERGE_TURN_RAD
 
 
 def _span_energy_wh(energy: Floats, span: _Span) -> Floats:

@@ -34,9 +34,12 @@ class Budget:
 
     def probability_need_is_met(self, need_wh: Floats) -> Floats:
         """Return the probability that each need is met, over model and battery errors."""
-        need_wh = self.scale * need_wh
-        spread = np.hypot(self.battery_std_wh, self.model_std_frac * need_wh)
-        return normal_cdf((self.left_wh - need_wh) / np.maximum(spread, 1e-6))
+        spread = np.maximum(self.std_of_need_wh(need_wh), 1e-6)
+        return normal_cdf((self.left_wh - self.scale * need_wh) / spread)
+
+    def std_of_need_wh(self, need_wh: Floats) -> Floats:
+        """Return the standard deviation of what is left after a need, by battery and model."""
+        return np.hypot(self.battery_std_wh, self.model_std_frac * self.scale * need_wh)
 
     def probability_at_later_gate(self, left_wh: Floats, need: Need) -> Floats:
         """Return the probability that a later gate assigns to a need with `left_wh` remaining.
@@ -53,38 +56,42 @@ class Budget:
         """Return P(remaining energy above 0), with the battery error alone."""
         return normal_cdf(left_wh / max(self.battery_std_wh, 1e-6))
 
-    def margin_to_probability_wh(self, need_wh: Floats, probability: float) -> float:
-        """Return remaining energy minus the level at which the mean of `probability_need_is_met`
-        equals `probability`.
+    def margin_to_probability_wh(
+        self, need_wh: Floats, weights: Floats, probability: float
+    ) -> float:
+        """Return remaining energy minus the level at which the weighted mean of
+        `probability_need_is_met` equals `probability`.
 
         Bisection. The margin is at most _MARGIN_WH too small and never too large, because it uses
         the upper end of the bracket.
         """
+        spread = np.maximum(self.std_of_need_wh(need_wh), 1e-6)
         need_wh = self.scale * need_wh
-        spread = np.maximum(np.hypot(self.battery_std_wh, self.model_std_frac * need_wh), 1e-6)
         low = float(need_wh.min()) - 9.0 * float(spread.max())
         high = float((need_wh + 9.0 * spread).max())
         while high - low > _MARGIN_WH:
             middle = 0.5 * (low + high)
-            if float(normal_cdf((middle - need_wh) / spread).mean()) >= probability:
+            if float(weights @ normal_cdf((middle - need_wh) / spread)) >= probability:
                 high = middle
             else:
                 low = middle
         return float(self.left_wh) - high
 
-    def approximate_margin_wh(self, need_wh: Floats, probability: float) -> float:
+    def approximate_margin_wh(self, need_wh: Floats, weights: Floats, probability: float) -> float:
         """Return that margin to about 0.05 Wh at a fifth of the cost, by the secant method on
         normal quantiles. Its sign is that of the probability: below 0 if it is not reached.
         """
-        p_now = float(self.probability_need_is_met(need_wh).mean())
+        p_now = float(weights @ self.probability_need_is_met(need_wh))
+        spread = np.maximum(self.std_of_need_wh(need_wh), 1e-6)
         need_wh = self.scale * need_wh
-        spread = np.maximum(np.hypot(self.battery_std_wh, self.model_std_frac * need_wh), 1e-6)
-        std_wh = math.hypot(float(need_wh.std()), float(spread.mean()))
+        mean_wh = float(weights @ need_wh)
+        variance_wh2 = float(weights @ (need_wh - mean_wh) ** 2)
+        std_wh = math.hypot(math.sqrt(variance_wh2), float(weights @ spread))
         target = _quantile(probability)
-        level = float(need_wh.mean()) + target * std_wh
+        level = mean_wh + target * std_wh
         before, slope = None, 1.0 / std_wh
         for _ in range(3):
-            reached = _quantile(float(normal_cdf((level - need_wh) / spread).mean()))
+            reached = _quantile(float(weights @ normal_cdf((level - need_wh) / spread)))
             if before is not None and level != before[0] and reached != before[1]:
                 slope = max((reached - before[1]) / (level - before[0]), 0.2 / std_wh)
             before, level = (level, reached), level + (target - reached) / slope
@@ -139,7 +146,7 @@ class OutcomeProbabilities:
     """Probabilities of the remaining mission that do not depend on the accepted loss."""
 
     def __init__(self, table: LegTable, budget: Budget, sampler: PathSampler) -> None:
-        self._table, self._budget = table, budget
+        self._table, self._budget, self._weights = table, budget, table.weights
         self._nothing_used_wh = np.zeros(sampler.count)
         self.best_route_now, self.p_now = self._best_route_and_p_home(0, self._nothing_used_wh)
         """Best route home from the current position, and P(home) on it."""
@@ -152,22 +159,25 @@ class OutcomeProbabilities:
         self.onward_need_wh = flown + table.return_route_energy_wh(1, route)
         self._later_decisions: list[LaterDecision] = []
         if table.stage_count == 1:
-            self._p_home_at_end = np.array([self.p_onward])
+            self._p_home_at_end, self._policy_weights = np.array([self.p_onward]), np.ones(1)
             return
-        self._predict_later_decisions(sampler.model_error[POLICY_SAMPLES])
+        policy_weights = (sampler.model_error_weights * table.weights)[:, POLICY_SAMPLES]
+        self._policy_weights: Floats = policy_weights / policy_weights.sum()
+        self._predict_later_decisions(sampler.model_error[:, POLICY_SAMPLES])
         p_later, later_need_wh = self._best_later_p_home_and_need_wh()
         if p_later > self.p_onward:
             self.p_onward, self.onward_need_wh = p_later, later_need_wh
 
     def p_home_and_success_if_continuing(self, required_p_home: float) -> tuple[float, float]:
         """Return (P(home), P(home, delivered)) if every later gate requires `required_p_home`."""
-        continuing = np.ones(self._p_home_at_end.size, np.bool_)
+        continuing = np.ones(self._p_home_at_end.shape, np.bool_)
         p_home = self._p_home_at_end.copy()
         for decision in self._later_decisions:
             turn_back = continuing & ~decision.is_continuing(required_p_home)
             p_home[turn_back] = decision.p_home_after_turn[turn_back]
             continuing &= ~turn_back
-        return float(p_home.mean()), float(np.where(continuing, p_home, 0.0).mean())
+        p_home *= self._policy_weights
+        return float(p_home.sum()), float(p_home[continuing].sum())
 
     def site_margins(
         self,
@@ -188,28 +198,30 @@ class OutcomeProbabilities:
             next_wh = None
             if site in landings_next:
                 _, next_need_wh = self._best_chance_and_need_wh(1, used, site, landings_next)
-                next_wh = self._budget.approximate_margin_wh(next_need_wh, p_home_next)
-            now_wh = self._budget.approximate_margin_wh(need_wh, p_home_now)
+                next_wh = self._margin_wh(next_need_wh, p_home_next)
+            now_wh = self._margin_wh(need_wh, p_home_now)
             found.append(SiteMargin(site, p_home, now_wh, next_wh))
         return tuple(found)
+
+    def _p_need_is_met(self, need_wh: Floats) -> float:
+        return float(self._weights @ self._budget.probability_need_is_met(need_wh))
+
+    def _margin_wh(self, need_wh: Floats, probability: float) -> float:
+        return self._budget.approximate_margin_wh(need_wh, self._weights, probability)
 
     def _best_chance_and_need_wh(
         self, point: int, used_wh: Floats, site: str, landings: Sequence[str]
     ) -> tuple[float, Floats]:
         routes = [k for k, landing in enumerate(landings) if landing == site]
         needs_wh = [used_wh + self._table.return_route_energy_wh(point, k) for k in routes]
-        chances = [float(self._budget.probability_need_is_met(n).mean()) for n in needs_wh]
+        chances = [self._p_need_is_met(need_wh) for need_wh in needs_wh]
         best = _first_index_near_maximum(chances)
         return chances[best], needs_wh[best]
 
     def _best_route_and_p_home(self, decision_point: int, used_wh: Floats) -> tuple[int, float]:
         """Return the route home of highest P(home), first of near ties, and that P(home)."""
         chances = [
-            float(
-                self._budget.probability_need_is_met(
-                    used_wh + self._table.return_route_energy_wh(decision_point, route)
-                ).mean()
-            )
+            self._p_need_is_met(used_wh + self._table.return_route_energy_wh(decision_point, route))
             for route in range(self._table.return_route_count(decision_point))
         ]
         best = _first_index_near_maximum(chances)
@@ -256,8 +268,9 @@ class OutcomeProbabilities:
             table.return_route_energy_wh(table.stage_count, i)[POLICY_SAMPLES]
             for i in range(table.return_route_count(table.stage_count))
         ]
+        weights = self._policy_weights.sum(axis=0)
         chances = [
-            float(budget.probability_need_is_met(used + route).mean())
+            float(weights @ budget.probability_need_is_met(used + route))
             for route in route_energies_wh
         ]
         total_used_wh = (used + route_energies_wh[_first_index_near_maximum(chances)]) * drawn

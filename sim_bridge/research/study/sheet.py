@@ -83,6 +83,9 @@ class Sheet:
 
     def _csv_columns(self) -> Iterator[list[str]]:
         """Yield columns of one value a cell, heading first; an unknown number is empty."""
+        if not self.rows:
+            yield from ([head] for head in self.head)
+            return
         for head, cells in zip(self.head, zip(*self.rows, strict=True), strict=True):
             several = next((each.values for each in cells if isinstance(each, Figures)), None)
             if several is None:

@@ -17,7 +17,7 @@ from companion.core.certificate.evidence import (
     RiskEvidence,
     variance_upper_factor,
 )
-from companion.core.return_budget.assessment import RESOLVED_LOSS, ModelDoubt
+from companion.core.return_budget.assessment import SUPPORTED_LOSS, ModelDoubt
 from companion.core.return_budget.budget import Gate, GateParams
 from companion.core.vehicle.power_bias import ModelError
 from companion.core.wind.forecast import WindForecast
@@ -46,7 +46,7 @@ def test_more_recorded_wind_and_certified_days_leave_less_doubt_and_are_named() 
     assert certified.doubt.model_std_factor < alone.doubt.model_std_factor
     assert "1.8 h of recorded wind (coast, 22 returns) and no certified" in alone.summary_text
     assert "11 certified flights on 11 days" in certified.missing_support_text(0.001)
-    assert alone.missing_support_text(RESOLVED_LOSS) == ""
+    assert alone.missing_support_text(SUPPORTED_LOSS) == ""
 
 
 def test_sites_that_differ_bound_the_wind_of_another_site() -> None:
@@ -114,7 +114,7 @@ def test_no_evidence_supports_nothing_and_no_certainty_is_stated() -> None:
     plain = gate.assess(*inputs)
     assert plain.p_home > 0.9999
     sure = gate.with_evidence_limit(plain, ModelDoubt(), *inputs)
-    assert sure.p_home_limit == 1.0 - RESOLVED_LOSS
+    assert sure.p_home_limit == 1.0 - SUPPORTED_LOSS
     none = RiskEvidence(msgspec.structs.replace(COAST, recorded_s=None)).doubt
     assert gate.with_evidence_limit(plain, none, *inputs).p_home_limit < 0.7
 

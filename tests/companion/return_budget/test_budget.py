@@ -33,6 +33,7 @@ ROUTE = RouteEnergy(M100)
 WIND_PROCESS = read_wind_process("coast")
 MODEL_STD = M100.power_rotor.model_std_frac
 PARCEL = 0.6
+THIRDS = np.full(3, 1.0 / 3.0)
 UP = -40.0
 
 
@@ -118,7 +119,7 @@ def test_a_margin_is_the_normal_distributions_and_never_more(p: float, left_wh: 
     budget = Budget(left_wh, battery_std_wh=2.0, model_std_frac=0.04, scale=1.1)
     spread = math.hypot(2.0, 0.04 * 1.1 * 40.0)
     exact = left_wh - (1.1 * 40.0 + float(norm.ppf(p)) * spread)
-    assert exact - 0.005 <= budget.margin_to_probability_wh(np.full(3, 40.0), p) <= exact
+    assert exact - 0.005 <= budget.margin_to_probability_wh(np.full(3, 40.0), THIRDS, p) <= exact
 
 
 RETURN = RemainingMission((home_from(1500.0, 0.0),), (), delivered=True)
@@ -194,7 +195,7 @@ def test_the_few_samples_agree_with_very_many() -> None:
 
 def test_more_energy_is_never_worse() -> None:
     for ahead in (RETURN, mission(1800.0, 6, 3)):
-        answers = [judge(ahead, left, min_success=0.0) for left in np.arange(25.0, 100.0, 5.0)]
+        answers = [judge(ahead, left) for left in np.arange(25.0, 100.0, 2.5)]
         margins = [a.margin_wh for a in answers]
         now = [a.p_home_now for a in answers]
         assert np.all(np.diff(margins) > 0.0)
@@ -292,7 +293,7 @@ def test_the_gate_is_option_aware() -> None:
     ("distance_m", "legs", "done", "east_mps", "left_wh"),
     [
         (2500.0, 8, 0, -6.0, 45.0),  # the energy does not suffice for the whole trip
-        (420.0, 2, 0, 13.0, 40.0),  # it does, barely: a later gate turns back
+        (420.0, 2, 0, 13.0, 41.0),  # it does, barely: a later gate turns back
         (420.0, 5, 2, 13.0, 40.0),  # in flight
         (1200.0, 5, 2, 8.0, 52.0),
     ],
@@ -619,6 +620,6 @@ def test_a_sites_margin_is_the_root_of_its_probability_and_has_its_sign(left_wh,
         spread = np.hypot(1.5, 0.04 * 1.05 * needs)
         return float(norm.cdf((level_wh - 1.05 * needs) / spread).mean()) - promised
 
-    margin_wh = budget.approximate_margin_wh(needs, promised)
+    margin_wh = budget.approximate_margin_wh(needs, np.full(256, 1.0 / 256.0), promised)
     assert margin_wh == pytest.approx(left_wh - brentq(excess, 0.0, 200.0), abs=0.2)
     assert (margin_wh < 0.0) == (excess(left_wh) < 0.0)

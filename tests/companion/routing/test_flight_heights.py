@@ -19,8 +19,8 @@ from companion.core.ground.ground_table import GroundTable
 from companion.core.mission.flight_file import Flight, Terrain, with_terrain_heights
 from companion.core.mission.flight_plan import VERTICAL_CLEARANCE_M, FlightPlan, route_properties
 from companion.core.mission.mission_items import POSITIONED_KINDS, Part
-from companion.core.return_budget.leg_costs import merge_straight_cruise_legs
 from companion.core.return_budget.remaining_from_plan import remaining_outbound
+from companion.core.return_budget.remaining_mission import merge_straight_cruise_legs
 from companion.core.routing import route_planner
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 

@@ -108,3 +108,10 @@ def test_processes_side_by_side_run_matrix_routines_on_one_thread_each(
         "1",
     ]
     assert [os.getenv(name) for name in names] == ["7", None]
+
+
+def test_a_table_without_rows_has_its_headings(tmp_path: Path) -> None:
+    sheet = Sheet("losses", ["mission", "cause"], [])
+    _, table = sheet.write_markdown_and_csv(tmp_path, "losses")
+    assert table.read_text(encoding="utf-8").split() == ["mission,cause"]
+    assert sheet.to_records() == []
