@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from companion.core.return_budget.outcomes import SiteMargin
 
 SUPPORTED_LOSS = 1.0 / 256.0
-"""Smallest loss that is stated to people: about the upper 95 % limit of the share lost of missions
-through recorded wind (docs/results/promise.md)."""
+"""Smallest loss that is stated to people: recorded wind supports no smaller one
+(docs/results/promise.md)."""
 
 
 @dataclass(frozen=True, slots=True)

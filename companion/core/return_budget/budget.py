@@ -131,9 +131,8 @@ class Gate:
         `check_value`: also turn back where continuing does not justify its risk or energy.
         """
         accepted = self.params.max_loss if accepted_loss is None else accepted_loss
-        evaluation = self._evaluate_outcomes(
-            remaining, wind_estimate, wind_outlook, energy, model_error
-        )
+        inputs = remaining, wind_estimate, wind_outlook, energy, model_error
+        evaluation = self._evaluate_outcomes(*inputs)
         if not remaining.stages:
             return self._assess_return(evaluation, remaining, wind_estimate, energy)
         decision = self._make_decision(evaluation.chances, accepted, check_value=check_value)
@@ -199,9 +198,8 @@ class Gate:
         keeps it. Tries accepted losses of 3, 2.5, 2, 1.5 and 1 times `max_loss` and selects the
         first with which the policy, over all sampled winds, loses at most `max_loss`.
         """
-        evaluation = self._evaluate_outcomes(
-            remaining, wind_estimate, wind_outlook, energy, model_error
-        )
+        inputs = remaining, wind_estimate, wind_outlook, energy, model_error
+        evaluation = self._evaluate_outcomes(*inputs)
         for accepted in (times * self.params.max_loss for times in _ACCEPTED_LOSS_FACTORS):
             decision = self._make_decision(evaluation.chances, accepted)
             if not decision.turn_back and decision.p_home >= 1.0 - self.params.max_loss:
@@ -312,9 +310,9 @@ class Gate:
         p_now = evaluation.chances.p_now
         p_success = p_now if remaining.delivered else 0.0
         decision = GateDecision(True, p_now, p_success, "on the way home", p_now, p_success)
-        accepted = self.params.max_loss
+        max_loss = self.params.max_loss
         return self._build_assessment(
-            evaluation, remaining, wind_estimate, energy, accepted, decision
+            evaluation, remaining, wind_estimate, energy, max_loss, decision
         )
 
     def _build_assessment(

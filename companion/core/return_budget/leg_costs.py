@@ -104,7 +104,7 @@ class LegTable:
         mean = wind.mean_to_ne_mps
         times = route_energy.leg_costs_wind_major(self._compiled, mean[None, :]).time_s[0]
         middle, arrival = self._midpoint_and_arrival_times_s(times)
-        positions_ne_m = self._vehicle_positions_at_nodes_ne_m(middle)
+        positions_ne_m = _vehicle_positions_at_nodes_ne_m(self._leg_list, middle)
         self._compute_energies(
             outlook.forecast_on_route(wind, _NODES_S, positions_ne_m), middle, arrival, sampler
         )
@@ -257,21 +257,6 @@ class LegTable:
             )
         return np.minimum(middle, _NODES_S[-1]), np.minimum(arrival, _NODES_S[-1])
 
-    def _vehicle_positions_at_nodes_ne_m(self, midpoint_times_s: Floats) -> Floats:
-        """Return the vehicle's position at each forecast node, (nodes, 2): the weighted mean of
-        the legs that may be flown then, or the position at the previous node without one.
-        """
-        positions_ne_m = np.zeros((_NODES_S.size, 2))
-        if not self._leg_list:
-            return positions_ne_m
-        ends = np.array([(leg.from_ned_m[:2], leg.to_ned_m[:2]) for leg in self._leg_list])
-        at_leg, position = _interpolation_weights_at(midpoint_times_s), ends[0, 0]
-        weight, weighted_sum = at_leg.sum(axis=0), at_leg.T @ ends.mean(axis=1)
-        for node in range(_NODES_S.size):
-            position = weighted_sum[node] / weight[node] if weight[node] > 0.0 else position
-            positions_ne_m[node] = position
-        return positions_ne_m
-
     def _compute_energies(
         self,
         forecast: WindForecast,
@@ -363,6 +348,22 @@ class LegTable:
                 else tuple(append_rows(point, [route]) for route in self._routes[self.stage_count]),
             )
         return np.array(leg_list), np.array(origin)
+
+
+def _vehicle_positions_at_nodes_ne_m(leg_list: list[Leg], midpoint_times_s: Floats) -> Floats:
+    """Return the vehicle's position at each forecast node, (nodes, 2): the weighted mean of the
+    legs that may be flown then, or the position at the previous node without one.
+    """
+    positions_ne_m = np.zeros((_NODES_S.size, 2))
+    if not leg_list:
+        return positions_ne_m
+    ends = np.array([(leg.from_ned_m[:2], leg.to_ned_m[:2]) for leg in leg_list])
+    at_leg, position = _interpolation_weights_at(midpoint_times_s), ends[0, 0]
+    weight, weighted_sum = at_leg.sum(axis=0), at_leg.T @ ends.mean(axis=1)
+    for node in range(_NODES_S.size):
+        position = weighted_sum[node] / weight[node] if weight[node] > 0.0 else position
+        positions_ne_m[node] = position
+    return positions_ne_m
 
 
 def _need_spreads(

@@ -50,17 +50,11 @@ from ground_station.core.truck_drones.search import (
     PlanSearch,
     SearchParams,
     default_coolings,
-    default_trials,
+    default_day_trials,
 )
 from ground_station.core.truck_drones.tables import Plan
 
 PolicyName = Literal["search", "dynamic"]
-DAY_TRIALS_FRAC = 0.6
-"""Share of the default number of trials: with pads a trial takes longer than in the published
-problem (goal: 30 s on one core for 200 customers and 8 drones)."""
-TIMED_TRIALS_FRAC = 0.12
-"""[est] The same with windows or priorities: a trial then takes about five times as long, because
-the rest of the day is seldom the old one shifted."""
 SHORT_COOLING_MAX_CUSTOMERS = 60
 BEST_OF_THREE = (*((Cooling(0.15, 0.0, "first"),) * 3), Cooling(0.55, 0.3, "best"))
 """Up to `SHORT_COOLING_MAX_CUSTOMERS`, the best of three quick coolings gets another, slower
@@ -214,9 +208,7 @@ class _DayPlanner:
         if self._params.policy == "dynamic":
             yield unlayered, DynamicAssignment().plan(unlayered, rng)
             return
-        frac = DAY_TRIALS_FRAC if unlayered.timed is None else TIMED_TRIALS_FRAC
-        default = max(1, int(frac * default_trials(unlayered.customers)))
-        trials = self._params.trials or default
+        trials = self._params.trials or default_day_trials(unlayered)
         self._trials = trials
         looped = self._best_plans_of_coolings(
             loops, rng, int(LOOPS_SHARE * trials), (0.0, 0.3), None

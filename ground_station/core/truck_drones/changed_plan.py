@@ -22,7 +22,6 @@ from ground_station.core.truck_drones.simulate import (
     simulate_cost_s,
     simulate_stop_and_next_arrival,
     store_flight_if_feasible,
-    timed_cost_s,
 )
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
@@ -49,6 +48,7 @@ from ground_station.core.truck_drones.tables import (
     SPARE,
     WORK_AFTER,
 )
+from ground_station.core.truck_drones.timed_cost import timed_cost_s
 
 UNCHANGED = (0, 0, 0.0)
 """The simulated part if there is none."""

@@ -67,6 +67,19 @@ def default_trials(customers: int) -> int:
     return max(LEAST_TRIALS, customers * max(least, int(for_each)))
 
 
+DAY_TRIALS_FRAC = 0.6
+"""Share of the default number of trials: with pads a trial takes longer than in the published
+problem (goal: 30 s on one core for 200 customers and 8 drones)."""
+TIMED_TRIALS_FRAC = 0.12
+"""[est] The same with windows or priorities: a trial takes about five times as long."""
+
+
+def default_day_trials(problem: TruckAndDrones) -> int:
+    """Return the trials of the search for a day."""
+    frac = DAY_TRIALS_FRAC if problem.timed is None else TIMED_TRIALS_FRAC
+    return max(1, int(frac * default_trials(problem.customers)))
+
+
 @dataclass(frozen=True, slots=True)
 class Cooling:
     """One cooling: share of the trials, start within the schedule (0: hot), and initial plan."""

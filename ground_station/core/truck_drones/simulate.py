@@ -19,7 +19,6 @@ from ground_station.core.truck_drones.layers.layer_pricing import find_free_laye
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     BLOCKED,
-    CLOSES,
     DELAYS,
     DELIVERED,
     DEPART,
@@ -31,7 +30,6 @@ from ground_station.core.truck_drones.tables import (
     IMMEDIATE,
     KIND,
     LATE,
-    LATE_PRICE,
     LAUNCH,
     LAUNCHED,
     LAYER,
@@ -50,9 +48,9 @@ from ground_station.core.truck_drones.tables import (
     RENDEZVOUS,
     ROUTE,
     SPARE,
-    TIME_PRICE,
     WORK_AFTER,
 )
+from ground_station.core.truck_drones.timed_cost import timed_cost_s
 
 EPSILON_S = 1e-7
 MAX_DELAYS = 3
@@ -368,25 +366,6 @@ def initialise_drones_on_truck(tables, plan, drones_on_truck):
     for kind in range(drones_on_truck.shape[1]):
         unused = plan[IDLE, kind] if kind < plan.shape[1] else 0
         drones_on_truck[0, kind] = tables.fleet[kind] - unused
-
-
-@compiled_inner
-def timed_cost_s(tables, plan, times_s):
-    """Return the cost of late and urgent orders of a simulated plan, s of makespan."""
-    cost_s, timed = 0.0, tables.timed
-    if not tables.is_timed:
-        return cost_s
-    for customer in range(1, plan.shape[1] - 1):
-        if timed[LATE_PRICE, customer] == 0.0 and timed[TIME_PRICE, customer] == 0.0:
-            continue
-        at_s = times_s[DELIVERED, customer]
-        if plan[LAUNCH, customer] != NOWHERE:
-            kind, rendezvous = plan[KIND, customer], plan[RENDEZVOUS, customer]
-            at_s = times_s[LAUNCHED, customer] + times_s[FLY, customer]
-            at_s -= tables.back_s[kind, customer, rendezvous]
-        late_s = max(0.0, at_s - timed[CLOSES, customer])
-        cost_s += timed[LATE_PRICE, customer] * late_s + timed[TIME_PRICE, customer] * at_s
-    return cost_s
 
 
 @compiled
