@@ -139,7 +139,7 @@ def test_more_wind_and_less_energy_lower_the_probability_of_returning():
     def p_home(left_wh: float, wind_mps: float) -> float:
         return companion.can_return("m100", (0.0, -900.0, 40.0), left_wh, (0.0, -wind_mps)).p_home
 
-    assert p_home(40.0, 0.0) > 0.99 > p_home(24.0, 6.0) > p_home(24.0, 10.0) > p_home(12.0, 10.0)
+    assert p_home(40.0, 0.0) > 0.99 > p_home(23.0, 6.0) > p_home(23.0, 10.0) > p_home(12.0, 10.0)
 
 
 @pytest.mark.parametrize(
