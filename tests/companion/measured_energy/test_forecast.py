@@ -1,6 +1,7 @@
 """Tracks, times and phases of synthetic flights with a known truth."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -102,6 +103,19 @@ def test_times_of_climb_legs_and_descent_are_found_again():
     assert 3 * times.leg_time_beyond_constant_speed_s(8.0) + times.descent[0] == pytest.approx(
         12.0, abs=1.0
     )
+
+
+def test_a_pause_does_not_change_the_times():
+    routes = [
+        build_flown_route(fly(speed, 30.0, 0.0), 30.0, speed)
+        for speed in (4.0, 6.0, 8.0, 10.0, 12.0)
+    ]
+    paused = replace(routes[2], leg_s=(routes[2].leg_s[0] + 30.0, *routes[2].leg_s[1:]))
+    usual, with_pause = (
+        fit_route_times(flown).leg_s(200.0, 8.0)
+        for flown in (routes, [*routes[:2], paused, *routes[3:]])
+    )
+    assert with_pause == pytest.approx(usual, abs=0.5)
 
 
 def test_wind_of_airborne_blocks_is_interpolated_on_the_track():
