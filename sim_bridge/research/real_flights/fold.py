@@ -147,11 +147,8 @@ def _fit_airframe_scale_and_forecast(
         track, blocks = flight.measured.track, flight.measured.prepared.blocks
         along = wind_on_track_grid(track, blocks, wind)
         route, _ = planned_route_or_reason(flight)
-        known.append(
-            TrainingFlight(
-                track, route, along, blocks.density_kgpm3, flight.ordered.date, charge_index
-            )
-        )
+        density, day = blocks.density_kgpm3, flight.ordered.date
+        known.append(TrainingFlight(track, route, along, density, day, charge_index))
     scaled = [
         fitting_flights[selected[at]]
         for at in _evenly_spread_indices(len(selected), SCALED_FLIGHTS)
