@@ -3,8 +3,9 @@
 `log(measured / predicted) = mean + day + charge + flight`, each random and normal. Flights of one
 day share its air, its pilot and its packs: a new flight on a new day scatters by all three. The
 variances are those of restricted maximum likelihood (Patterson and Thompson, Biometrika 58, 1971).
-The bound for a new day uses Student's t with Satterthwaite's degrees of freedom (Biometrics
-Bulletin 2, 1946): ten days are few.
+The bound for a new day is a quantile of the sum of a day effect and the deviations of the flights
+from their days' means. The day effect has Student's t of the number of days: ten days are few. The
+deviations are used as measured, because the tails of flights are not those of a normal.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import minimize, root_scalar
 from scipy.stats import t as student_t
 
 from companion.core.base.arrays import Floats
@@ -28,7 +29,8 @@ flight of three minutes lowers it by 1 V."""
 @dataclass(frozen=True, slots=True)
 class EnergyScatter:
     """Logarithm of measured over predicted energy: mean and its variance, and variances of day,
-    charge and flight effects; `days` and `flights` are the numbers fitted."""
+    charge and flight effects; `days` and `flights` are the numbers fitted. `deviations` of the
+    flights from their days' means have the variance of a charge and a flight."""
 
     mean: float
     mean_variance: float
@@ -37,6 +39,7 @@ class EnergyScatter:
     flight_variance: float
     days: int
     flights: int
+    deviations: tuple[float, ...]
 
     @property
     def std(self) -> float:
@@ -44,19 +47,24 @@ class EnergyScatter:
         own = self.day_variance + self.charge_variance + self.flight_variance
         return float(np.sqrt(own + self.mean_variance))
 
-    @property
-    def effective_dof(self) -> float:
-        """Satterthwaite's degrees of freedom of `std`."""
-        between = self.day_variance + self.mean_variance
-        within = self.charge_variance + self.flight_variance
-        spread = between**2 / max(self.days - 1, 1)
-        spread += within**2 / max(self.flights - self.days, 1)
-        return float((between + within) ** 2 / spread)
-
     def upper_bound_factor(self, probability: float) -> float:
-        """Return the factor on predicted energy that bounds a new day's flight at `probability`."""
-        quantile = float(student_t.ppf(probability, self.effective_dof))
-        return float(np.exp(self.mean + quantile * self.std))
+        """Return the factor on predicted energy that bounds a new day's flight at `probability`.
+
+        Fewer flights than have this quantile (19 for 95 %) are bounded by the days' t on `std`.
+        """
+        of_days = student_t(self.days - 1)
+        quantile = float(of_days.ppf(probability))
+        deviations = np.array(self.deviations)
+        if probability * (len(deviations) + 1) >= len(deviations):
+            return float(np.exp(self.mean + quantile * self.std))
+        between_std = float(np.sqrt(self.day_variance + self.mean_variance))
+
+        def missing_probability(bound: float) -> float:
+            return probability - float(of_days.cdf((bound - deviations) / between_std).mean())
+
+        low = deviations.min() + (quantile - 1.0) * between_std
+        high = deviations.max() + (quantile + 1.0) * between_std
+        return float(np.exp(self.mean + root_scalar(missing_probability, bracket=(low, high)).root))
 
     @property
     def median_factor(self) -> float:
@@ -117,7 +125,22 @@ def fit_energy_ratio_scatter(
         flight_variance=float(variances[2] + _MIN_STD**2),
         days=count,
         flights=len(log_energy_ratios),
+        deviations=_deviations_from_day_means(
+            log_energy_ratios, parts[0], float(np.sum(variances[1:])) + _MIN_STD**2
+        ),
     )
+
+
+def _deviations_from_day_means(
+    log_energy_ratios: Floats, is_same_day: Floats, variance: float
+) -> tuple[float, ...]:
+    """Return the deviations of flights on days with several, scaled to this variance."""
+    counts = is_same_day.sum(axis=1)
+    several = counts > 1.0
+    deviations = (log_energy_ratios - is_same_day @ log_energy_ratios / counts)[several]
+    deviations *= np.sqrt(counts / np.maximum(counts - 1.0, 1.0))[several]
+    mean_square = max(float(np.mean(deviations**2)), _MIN_STD**2) if several.any() else 1.0
+    return tuple(deviations * np.sqrt(variance / mean_square))
 
 
 def _label_equality_matrix(labels: Sequence[object]) -> Floats:

@@ -50,7 +50,7 @@ class EnergyPrediction:
 @dataclass(frozen=True, slots=True)
 class TrainingFlight:
     """A flight for the fit. `route` is `None` if remaining energy cannot be evaluated; the wind is
-    the flight's mean, north and east (direction to)."""
+    (n, 2) on the track's grid or (2,), north and east (direction to)."""
 
     track: FlownTrack
     route: FlownRoute | None
@@ -161,7 +161,8 @@ def _log_energy_ratios_by_point(
     if flight.route is None:
         return rows
     for point in takeoff_corner_and_midpoint(track, flight.route):
-        wind = flight.wind_to_ne_mps if point.leg_progress else np.zeros(2)
+        mean = np.atleast_2d(flight.wind_to_ne_mps).mean(axis=0)
+        wind = mean if point.leg_progress else np.zeros(2)
         args = (airframe, times, track, flight.route, point, wind, flight.density_kgpm3)
         log = float(
             np.log(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.stats import theilslopes
 
 from companion.analysis.measured_energy.flown_track import (
     STEP_S,
@@ -102,16 +103,12 @@ def build_flown_route(track: FlownTrack, height_m: float, speed_mps: float) -> F
 
 
 def fit_route_times(routes: Sequence[FlownRoute]) -> RouteTimes:
-    """Fit times by least squares. Raises LeewayError for too few flights."""
+    """Fit times by Theil-Sen, which ignores a pause. Raises LeewayError for too few flights."""
     if len(routes) < _MIN_FLIGHTS:
         raise LeewayError(f"times of a route: {len(routes)} flights, {_MIN_FLIGHTS} expected")
     heights = np.array([r.plan.height_m for r in routes])
-    speeds = np.array([r.plan.speed_mps for r in routes for _ in r.leg_s])
-    extra = [
-        flown_s - length_m / r.plan.speed_mps
-        for r in routes
-        for flown_s, length_m in zip(r.leg_s, r.plan.leg_m, strict=True)
-    ]
+    speeds = np.array([r.plan.speed_mps for r in routes])
+    extra = [(sum(r.leg_s) - sum(r.plan.leg_m) / r.plan.speed_mps) / len(r.leg_s) for r in routes]
     return RouteTimes(
         climb=_fit_constant_and_slope(heights, [r.climb_s for r in routes]),
         leg=_fit_constant_and_slope(speeds, extra),
@@ -124,6 +121,7 @@ def _fit_constant_and_slope(
 ) -> tuple[float, float]:
     """Return constant and slope; slope 0 if `regressor_values` is constant."""
     if np.ptp(regressor_values) < 1e-6:
-        return float(np.mean(durations_s)), 0.0
-    slope, constant = np.polyfit(regressor_values, np.asarray(durations_s, float), 1)
+        return float(np.median(durations_s)), 0.0
+    line = theilslopes(durations_s, regressor_values, method="joint")
+    slope, constant = np.asarray(line, np.float64)[:2]
     return float(constant), float(slope)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from companion.analysis.calibration.drag import EstimatedWind
+from companion.analysis.calibration.records import Blocks
 from companion.analysis.measured_energy.flown_track import STEP_S, FlownTrack
 from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
@@ -35,6 +37,13 @@ def modelled_track_power_w(
     airspeed = np.hypot(track.vel_n_mps - wind[:, 0], track.vel_e_mps - wind[:, 1])
     mass_kg = airframe.flying_mass_kg(track.payload_kg)
     return multirotor_power_w(airframe, mass_kg, airspeed, track.climb_mps, density_kgpm3)
+
+
+def wind_on_track_grid(track: FlownTrack, blocks: Blocks, wind: EstimatedWind) -> Floats:
+    """Return the wind of a flight's airborne blocks at each grid point, (n, 2) (direction to)."""
+    t_s = blocks.t_s[blocks.airborne]
+    components = (wind.to_north_mps, wind.to_east_mps)
+    return np.column_stack([np.interp(track.t_s, t_s, component) for component in components])
 
 
 def phase_index_by_grid_point(track: FlownTrack) -> Ints:

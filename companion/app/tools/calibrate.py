@@ -49,6 +49,7 @@ from companion.analysis.measured_energy.track_power import (
     PHASES,
     energy_by_phase,
     modelled_track_power_w,
+    wind_on_track_grid,
     with_flown_power_ratios,
 )
 from companion.core.base.errors import LeewayError
@@ -239,8 +240,8 @@ def _with_power_ratio_by_phase(
         except LeewayError as error:
             notes.append(f"power by phase: excluded: {error}")
             continue
-        mean = np.array([wind.to_north_mps.mean(), wind.to_east_mps.mean()])
-        power = modelled_track_power_w(calibration.airframe, track, mean, log.density_kgpm3)
+        along_track = wind_on_track_grid(track, log.prepared.blocks, wind)
+        power = modelled_track_power_w(calibration.airframe, track, along_track, log.density_kgpm3)
         energies.append(energy_by_phase(track, power))
     phases = fit_phase_power_ratios(energies)
     start = "the power model" if phases.table is None else "level flight"

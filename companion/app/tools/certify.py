@@ -29,7 +29,10 @@ from companion.analysis.measured_energy.flight_measurements import (
     replay_wind_estimator,
 )
 from companion.analysis.measured_energy.flown_track import STEP_S
-from companion.analysis.measured_energy.track_power import modelled_track_power_w
+from companion.analysis.measured_energy.track_power import (
+    modelled_track_power_w,
+    wind_on_track_grid,
+)
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.certificate.certificate import Certificate, percent_text
@@ -205,9 +208,9 @@ def _measure_and_predict_flight(log: _LogMetadata, airframe: Airframe) -> _Evalu
             f"{name}: cut off in flight at {blocks.t_s[-1]:.0f} s; not a whole flight"
         )
     wind = estimate_wind(blocks, airframe)
-    mean = np.array([wind.to_north_mps.mean(), wind.to_east_mps.mean()])
     density = measured.density_kgpm3
-    power = modelled_track_power_w(airframe, track, mean, density)
+    along_track = wind_on_track_grid(track, blocks, wind)
+    power = modelled_track_power_w(airframe, track, along_track, density)
     estimated_wind = replay_wind_estimator(measured, airframe).mean_ne_mps
     points = remaining_energy_at_decision_points(airframe, track, estimated_wind, density)
     flight = MeasuredFlight(

@@ -20,6 +20,7 @@ from companion.analysis.measured_energy.forecast import (
 )
 from companion.analysis.measured_energy.remaining_energy import takeoff_corner_and_midpoint
 from companion.analysis.measured_energy.route_times import FlownRoute, build_flown_route
+from companion.analysis.measured_energy.track_power import wind_on_track_grid
 from companion.analysis.replay.replayed_wind import FilteredWind
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
@@ -143,10 +144,11 @@ def _fit_airframe_scale_and_forecast(
     known: list[TrainingFlight] = []
     for i, (flight, charge_index) in enumerate(zip(fitting_flights, charge_indices, strict=True)):
         wind = seen[i] if i in seen else estimate_wind(flight.measured.prepared.blocks, airframe)
-        mean = np.array([wind.to_north_mps.mean(), wind.to_east_mps.mean()])
+        track, blocks = flight.measured.track, flight.measured.prepared.blocks
+        along = wind_on_track_grid(track, blocks, wind)
         route, _ = planned_route_or_reason(flight)
-        density, day = flight.measured.density_kgpm3, flight.ordered.date
-        known.append(TrainingFlight(flight.measured.track, route, mean, density, day, charge_index))
+        density, day = blocks.density_kgpm3, flight.ordered.date
+        known.append(TrainingFlight(track, route, along, density, day, charge_index))
     scaled = [
         fitting_flights[selected[at]]
         for at in _evenly_spread_indices(len(selected), SCALED_FLIGHTS)

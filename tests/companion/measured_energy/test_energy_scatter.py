@@ -85,6 +85,34 @@ def test_the_bound_covers_its_share_of_flights_on_new_days():
     assert plain / 150 < 0.9
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_bound_follows_the_measured_tail_of_flights(sign):
+    # Exponential deviations of 2 %: their 95 % quantile is 2.00 or, mirrored, 0.95 of their std; a
+    # normal's is 1.64.
+    rng = np.random.default_rng(7)
+    days = [f"d{number // 12:02}" for number in range(240)]
+    logs = sign * 0.02 * (rng.exponential(1.0, 240) - 1.0)
+    found = fit_energy_ratio_scatter(logs, days, range(240))
+    share = 0.95 if sign > 0.0 else 0.05
+    quantile = sign * 0.02 * (-np.log(1.0 - share) - 1.0)
+    assert np.log(found.upper_bound_factor(0.95)) == pytest.approx(quantile, rel=0.15)
+
+
+def test_flights_too_few_for_the_quantile_are_bounded_as_a_day():
+    logs, days, charges = drawn(np.random.default_rng(4), 3, 3, 1, (0.01, 0.0, 0.015))
+    found = fit_energy_ratio_scatter(logs, days, charges)
+    t_of_two_days = 2.92
+    assert np.log(found.upper_bound_factor(0.95)) == pytest.approx(
+        found.mean + t_of_two_days * found.std, rel=1e-3
+    )
+
+
+def test_equal_flights_are_bounded_by_what_they_drew():
+    days = [f"d{number // 5}" for number in range(40)]
+    found = fit_energy_ratio_scatter(np.full(40, 0.01), days, range(40))
+    assert np.log(found.upper_bound_factor(0.95)) == pytest.approx(0.01, abs=5e-4)
+
+
 def test_days_that_differ_widen_the_bound():
     rng = np.random.default_rng(2)
     alike = fit_energy_ratio_scatter(*drawn(rng, 10, 3, 3, (0.0, 0.0, 0.02)))

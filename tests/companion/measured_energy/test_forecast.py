@@ -1,12 +1,15 @@
 """Tracks, times and phases of synthetic flights with a known truth."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from companion.adapters.files.params import read_airframe
+from companion.analysis.calibration.drag import EstimatedWind
+from companion.analysis.calibration.records import Blocks
 from companion.analysis.measured_energy.flown_track import (
     STEP_S,
     FlownTrack,
@@ -27,6 +30,7 @@ from companion.analysis.measured_energy.route_times import (
 from companion.analysis.measured_energy.track_power import (
     energy_by_phase,
     measured_to_modelled_power_by_phase,
+    wind_on_track_grid,
     with_flown_power_ratios,
 )
 from companion.core.base.errors import LeewayError
@@ -99,6 +103,30 @@ def test_times_of_climb_legs_and_descent_are_found_again():
     assert 3 * times.leg_time_beyond_constant_speed_s(8.0) + times.descent[0] == pytest.approx(
         12.0, abs=1.0
     )
+
+
+def test_a_pause_does_not_change_the_times():
+    routes = [
+        build_flown_route(fly(speed, 30.0, 0.0), 30.0, speed)
+        for speed in (4.0, 6.0, 8.0, 10.0, 12.0)
+    ]
+    paused = replace(routes[2], leg_s=(routes[2].leg_s[0] + 30.0, *routes[2].leg_s[1:]))
+    usual, with_pause = (
+        fit_route_times(flown).leg_s(200.0, 8.0)
+        for flown in (routes, [*routes[:2], paused, *routes[3:]])
+    )
+    assert with_pause == pytest.approx(usual, abs=0.5)
+
+
+def test_wind_of_airborne_blocks_is_interpolated_on_the_track():
+    track = fly(8.0, 30.0, 0.0)
+    t_s = np.arange(1.0, 11.0, 2.0)
+    columns = [np.zeros(5)] * 18
+    blocks = Blocks("f", t_s, *columns, np.array([False, True, True, True, True]), 1.2)
+    north = np.array([1.0, 3.0, 3.0, 7.0])
+    along = wind_on_track_grid(track, blocks, EstimatedWind(north, -north, north, 3.0))
+    at = np.searchsorted(track.t_s, [0.0, 4.0, 8.0, 50.0])
+    assert along[at] == pytest.approx(np.array([[1, -1], [2, -2], [5, -5], [7, -7]]), abs=1e-6)
 
 
 def test_a_flight_that_is_cut_off_has_nothing_to_go():
