@@ -76,6 +76,23 @@ def test_wind_csv_has_a_row_for_each_row_of_a_csv_log(make, world, tmp_path):
     assert (np.diff(rows[:, 0]) > 0.0).all()
 
 
+def test_the_mass_of_an_unknown_vehicle_scales_its_drag(make, world, tmp_path):
+    path = make.csv(tmp_path / "f.csv", make.telemetry_csv_columns(world))
+    speeds = []
+    for mass in (0.5, 50.0):  # 100 times the mass, 0.32 times the drag over mass
+        assert run(path, "--mass", mass, "--out", tmp_path / "w.csv").exit_code == 0
+        rows = read_wind(tmp_path / "w.csv")
+        speeds.append(np.hypot(*rows[rows[:, 0] > 60.0, 1:3].T).mean())
+    assert speeds[1] > 1.1 * speeds[0]  # the flight narrows the drag
+    generic = read_airframe("generic")
+    assert generic.with_drag_over_mass_of(50.0).drag.linear_right_n_per_mps == pytest.approx(
+        generic.drag.linear_right_n_per_mps * (50.0 / 3.5) ** -0.25
+    )
+    refused = run(path, "--mass", 2.0, "--airframe", "m100")
+    assert refused.exit_code == 2
+    assert "--mass: expected without --airframe" in refused.output
+
+
 def draining(make, world, capacity_ah):
     """Write the flight with a pack whose resting voltage falls to 3.5 V/cell over `capacity_ah`."""
     columns = make.telemetry_csv_columns(world) | make.battery_csv_columns(world)

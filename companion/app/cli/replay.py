@@ -66,6 +66,14 @@ def replay_command(
             " folder, else 0.",
         ),
     ] = None,
+    mass: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            max=100.0,
+            help="Mass in flight, kg, without --airframe: scales the generic drag.",
+        ),
+    ] = None,
     max_loss: Annotated[
         float | None,
         typer.Option(help="Accepted loss probability per mission; default: the flight's, or 0.01."),
@@ -114,6 +122,7 @@ def replay_command(
         wind_process,
         params,
         None if estimator is None else estimator.value,
+        mass,
     )
     try:
         replay_log_and_write_outputs(request, out, json_out, picture)

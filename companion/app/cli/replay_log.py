@@ -56,6 +56,8 @@ class ReplayRequest:
     params: Path | None
     estimator: str | None
     """`leeway`, `reference`, or None for leeway."""
+    mass_kg: float | None = None
+    """Mass of a vehicle without airframe file."""
 
 
 def replay_log_and_write_outputs(
@@ -93,6 +95,8 @@ def replay_log_and_write_outputs(
 
 
 def _replay_config(request: ReplayRequest, log: RecordedFlight) -> ReplayConfig:
+    if request.mass_kg is not None and (request.airframe or request.flight):
+        raise LeewayError("--mass: expected without --airframe and --flight, which state the mass")
     if request.flight is not None:
         path = flight_file_path(request.flight, request.params)
         flight = read_flight_with_terrain_heights(path)
@@ -109,6 +113,8 @@ def _replay_config(request: ReplayRequest, log: RecordedFlight) -> ReplayConfig:
             request.gate_interval_s,
         )
     airframe = read_airframe(request.airframe or GENERIC_AIRFRAME, request.params)
+    if request.mass_kg is not None:
+        airframe = airframe.with_drag_over_mass_of(request.mass_kg)
     flight = _with_requested_limits(request, _flight_from_log(request, airframe, log))
     known = request.airframe is not None
     process = _read_requested_wind_process(request, flight)

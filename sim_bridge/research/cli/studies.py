@@ -215,6 +215,10 @@ def windbench(
         bool,
         typer.Option("--symmetric", help="Equal frontal and side drag (see companion calibrate)."),
     ] = False,
+    starts_s: Annotated[
+        float | None,
+        typer.Option("--starts", min=10.0, help="Start anew in the air, every so many seconds."),
+    ] = None,
 ) -> None:
     """Score multirotor wind estimators on real flights by one rule, each day from the others.
 
@@ -232,5 +236,7 @@ def windbench(
     ]
     run = create_experiment_run("logs/windbench")
     run.print_and_write_report(
-        score_estimators_on_flights(requested, tuple(estimator or ()), run, symmetric=symmetric)
+        score_estimators_on_flights(
+            requested, tuple(estimator or ()), run, symmetric=symmetric, starts_s=starts_s
+        )
     )

@@ -2,7 +2,7 @@
 values."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,8 @@ from sim_bridge.research.real_flights.folder import read_usable_flights
 SAMPLE_INTERVAL_S = 0.1
 WINDOW_S = 10.0
 STABILIZATION_S = 30.0
+MIN_WINDOWS = 3
+"""Of a start in the air: fewer are hardly an RMS error."""
 _MIN_SHARE = 0.8
 _MAX_REFERENCE_AGE_S = 1.0
 
@@ -106,6 +108,28 @@ def read_bench_folder(folder: Path, airframe: str) -> BenchFolder:
         reason = f"; {rejected[0]}" if rejected else ""
         raise LeewayError(f"{folder}: no flight with an anemometer, CSV expected{reason}")
     return BenchFolder(folder.name, tuple(flights), tuple(rejected))
+
+
+def starts_in_the_air(flight: BenchFlight, interval_s: float) -> Iterator[BenchFlight]:
+    """Yield the flight without what precedes each start: every `interval_s` from take-off on."""
+    t_s = np.array([seen.t_s for seen in flight.observations])
+    first_s = t_s[np.argmax([seen.airborne for seen in flight.observations])]
+    for start_s in np.arange(first_s + interval_s, t_s[-1], interval_s):
+        begin = int(np.searchsorted(t_s, start_s))
+        stable = int(np.searchsorted(t_s, start_s + STABILIZATION_S))
+        windows = tuple(
+            replace(w, rows=slice(w.rows.start - begin, w.rows.stop - begin))
+            for w in flight.windows
+            if w.rows.start >= stable
+        )
+        if len(windows) >= MIN_WINDOWS:
+            yield replace(
+                flight,
+                name=f"{flight.name} from {start_s - first_s:.0f} s",
+                observations=flight.observations[begin:],
+                velocity_ne_mps=flight.velocity_ne_mps[begin:],
+                windows=windows,
+            )
 
 
 def _read_csv_flight(path: Path, mass_kg: float) -> BenchFlight:

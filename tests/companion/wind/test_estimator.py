@@ -610,6 +610,25 @@ def test_a_loose_gain_prior_does_not_diverge() -> None:
     assert float(np.linalg.norm(error)) < 5.0
 
 
+def test_gusts_in_a_hover_do_not_refute_the_drag_of_an_unknown_airframe() -> None:
+    # At the take-off of a real M100 as `generic` gains fell to 0.25, and wind was 10 m/s too much.
+    def gains(*, wait: bool) -> np.ndarray:
+        loose = msgspec.structs.replace(
+            airframe(0.3).drag, axis_gain_std_frac=0.2, trim_std_deg=2.0
+        )
+        craft = msgspec.structs.replace(airframe(), drag=loose)
+        estimator = WindEstimator(craft, WindEstimatorParams(gain_waits_for_wind=wait))
+        rng = np.random.default_rng(3)
+        gust = np.zeros(2)
+        for k in range(400):
+            gust = 0.98 * gust + rng.normal(0.0, 0.35, 2)
+            estimator.update(steady(k * 0.1, 0.3, 0.0, (float(gust[0]), float(gust[1]))))
+        return np.array(estimator.drag_gain_forward_right)
+
+    assert np.abs(np.log(gains(wait=True))).max() < 0.2
+    assert np.abs(np.log(gains(wait=False))).max() > 0.35
+
+
 @pytest.mark.parametrize("told", [True, False], ids=["told", "not told"])
 def test_in_thin_air_the_wind_is_right_only_where_the_filter_is_told_its_density(told):
     # 3,000 m and 40 degrees C. The drag of its own thin air is 0.64 and 0.80 of the file's.

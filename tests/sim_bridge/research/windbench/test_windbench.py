@@ -11,7 +11,7 @@ from companion.core.base.errors import LeewayError
 from sim_bridge.research.windbench.contest import WindowScore, score_estimator
 from sim_bridge.research.windbench.drag_fusion import px4_drag_params_from_airframe
 from sim_bridge.research.windbench.estimators import estimators_by_name
-from sim_bridge.research.windbench.flights import read_bench_folder
+from sim_bridge.research.windbench.flights import read_bench_folder, starts_in_the_air
 from tests.sim_bridge.research.study_command import run_study
 
 WIND_NE = (3.0, -2.0)
@@ -129,6 +129,29 @@ def test_the_command_ranks_an_estimator_of_ones_own_by_what_it_knows(folder, tmp
         assert found[name]["vector_mps"] < 0.6 * still["vector_mps"], name
     rows = list(csv.reader((tmp_path / "out" / "windbench.csv").read_text().splitlines()))
     assert rows[1][1] in ("my_wind:Knows", "best constant wind of each flight (hindsight)")
+
+
+def test_starts_in_the_air_know_nothing_of_what_was_before(folder, tmp_path):
+    (flight,) = read_bench_folder(folder, "generic").flights
+    first_s = next(o.t_s for o in flight.observations if o.airborne)
+    starts = list(starts_in_the_air(flight, 30.0))
+    assert [s.name for s in starts] == [f"one.csv from {30 * k} s" for k in (1, 2)]
+    for k, start in enumerate(starts, 1):
+        begin_s = start.observations[0].t_s
+        assert begin_s == pytest.approx(first_s + 30.0 * k, abs=0.11)
+        assert len(start.velocity_ne_mps) == len(start.observations)
+        for window in start.windows:
+            t_s = start.observations[window.rows.start].t_s
+            assert t_s >= begin_s + 29.9
+            (same,) = (w for w in flight.windows if flight.observations[w.rows.start].t_s == t_s)
+            assert same.wind_to_ne_mps is window.wind_to_ne_mps
+    with pytest.raises(LeewayError, match="--starts 500: no flight is long enough"):
+        run_study(tmp_path, "windbench", f"{folder}=generic", "--starts", "500")
+
+
+def test_the_worst_flight_is_told_apart_from_the_mean():
+    rows = [scored("a", 5.0, 5.0, None, v) for v in (1.0, 1.0)] + [scored("b", 6.0, 6.0, None, 3.0)]
+    assert score_estimator("e", rows).worst_mps == pytest.approx(3.0)
 
 
 def test_what_cannot_be_used_is_said_in_one_line(tmp_path, folder):
