@@ -24,6 +24,7 @@ from companion.core.base.location import Location
 from companion.core.mission.actions import Decision
 from companion.core.mission.events import AirPressure, Position
 from companion.core.mission.flight_file import Flight, Site, Vehicle
+from companion.core.vehicle.drag_by_mass import with_drag_over_mass_of
 
 ROOT = Path(__file__).parents[2]
 ANEMOMETER = ROOT.parent / "shared/data/estimator/anemometer_uav_5hz.csv"
@@ -85,7 +86,7 @@ def test_the_mass_of_an_unknown_vehicle_scales_its_drag(make, world, tmp_path):
         speeds.append(np.hypot(*rows[rows[:, 0] > 60.0, 1:3].T).mean())
     assert speeds[1] > 1.1 * speeds[0]  # the flight narrows the drag
     generic = read_airframe("generic")
-    assert generic.with_drag_over_mass_of(50.0).drag.linear_right_n_per_mps == pytest.approx(
+    assert with_drag_over_mass_of(generic, 50.0).drag.linear_right_n_per_mps == pytest.approx(
         generic.drag.linear_right_n_per_mps * (50.0 / 3.5) ** -0.25
     )
     refused = run(path, "--mass", 2.0, "--airframe", "m100")

@@ -35,6 +35,7 @@ from companion.core.base.location import Location
 from companion.core.mission.events import Airspeed
 from companion.core.mission.flight_file import Flight, Mission, Site, Vehicle
 from companion.core.vehicle.airframe import Airframe
+from companion.core.vehicle.drag_by_mass import with_drag_over_mass_of
 from companion.core.wind.process import WindProcessParams
 
 GENERIC_AIRFRAME = "generic"
@@ -114,7 +115,7 @@ def _replay_config(request: ReplayRequest, log: RecordedFlight) -> ReplayConfig:
         )
     airframe = read_airframe(request.airframe or GENERIC_AIRFRAME, request.params)
     if request.mass_kg is not None:
-        airframe = airframe.with_drag_over_mass_of(request.mass_kg)
+        airframe = with_drag_over_mass_of(airframe, request.mass_kg)
     flight = _with_requested_limits(request, _flight_from_log(request, airframe, log))
     known = request.airframe is not None
     process = _read_requested_wind_process(request, flight)

@@ -353,16 +353,6 @@ class Airframe(
         self._require_thrust_for_maximum_mass()
         self._require_power_for_empty_hover()
 
-    def with_drag_over_mass_of(self, mass_kg: float) -> "Airframe":
-        """Return it with the drag over mass of a vehicle like it of another mass.
-
-        Proportional to mass^-0.25 over 0.4 to 58 kg, to 18 % rms (params/airframes/generic.toml).
-        """
-        factor = (mass_kg / self.mass.empty_kg) ** -0.25
-        keys = [key for key in Drag.__struct_fields__ if key.startswith(("linear", "quadratic"))]
-        scaled = {key: factor * getattr(self.drag, key) for key in keys}
-        return msgspec.structs.replace(self, drag=msgspec.structs.replace(self.drag, **scaled))
-
     def _require_thrust_for_maximum_mass(self) -> None:
         """Require rotors that can carry the maximum mass at maximum tilt. Raises LeewayError."""
         mass = self.mass

@@ -309,19 +309,16 @@ class WindState:
 
     def correct_by_two_scalars(self, whitened_gain: Floats, whitened_innovations: Floats) -> None:
         """Kalman update by two scalars at once. `whitened_gain` (18, 2) is the covariance of state
-        and innovations, whitened. `whitened_innovations` (2,) is the whitened innovations.
-
-        With `gain_waits_for_wind`, drag gains are not estimated until the wind is known, but their
-        error counts (Schmidt 1966). Otherwise gusts and manoeuvres in a hover seem to refute a wide
-        prior: a real M100 as `generic` lost three quarters of its drag within 6 s of take-off.
+        and innovations, whitened. `whitened_innovations` (2,) is the whitened innovations. With
+        `gain_waits_for_wind`, drag gains are not estimated until the wind is known, but their error
+        counts (Schmidt 1966): gusts in a hover seem to refute a wide prior.
         """
         gains = slice(StateIndex.LOG_GAIN, StateIndex.HEADING)
         kept_x, kept_cov = self.x[gains].copy(), self.cov[gains, gains].copy()
         waits = self._params.gain_waits_for_wind and not self.is_wind_std_below_known_limit
         self.x += whitened_gain @ whitened_innovations
-        self.cov -= (
-            whitened_gain @ whitened_gain.T
-        )  # a matrix times its transpose is exactly symmetric
+        # A matrix times its transpose is exactly symmetric.
+        self.cov -= whitened_gain @ whitened_gain.T
         if waits:
             self.x[gains], self.cov[gains, gains] = kept_x, kept_cov
 

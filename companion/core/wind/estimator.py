@@ -67,8 +67,7 @@ def default_params_for_airframe(airframe: Airframe) -> WindEstimatorParams:
     Otherwise a fast walk cannot be separated from a drag error: on the real flight with the generic
     airframe the error is 1.20 m/s with the slow walk of the recordings, 1.44 with the fast one.
     With drag known, a front of 7 m/s in 90 s (params/flights/default.toml) is followed to 1.3 m/s
-    and NEES 3 with the fast walk, 2.1 and 11 with the slow one. With unknown drag, its gains wait
-    until the wind is known.
+    and NEES 3 with the fast walk, 2.1 and 11 with the slow one. Unknown gains wait for the wind.
     """
     if airframe.drag.gain_std_frac <= KNOWN_DRAG_STD_FRAC:
         return WindEstimatorParams(mean_process_noise_m2ps3=FRONT_PROCESS_NOISE_M2PS3)
