@@ -4,6 +4,7 @@ The layout fits 80 columns: names are never truncated, since `depot` and `depot-
 """
 
 from collections.abc import Iterable
+from itertools import pairwise
 from pathlib import PurePath
 
 from rich.console import Console
@@ -62,6 +63,7 @@ def print_plan_tables(console: Console, data: DayData, plan: DayPlan) -> None:
         f" (accepted probability of losing a drone: {data.day.mission.max_loss:g} per flight)",
         highlight=False,
     )
+    console.print(_driver_time_text(data, plan), highlight=False)
     if late := late_orders_of_plan(data, plan):
         late_table = plain_table("order", "delivery window that cannot be kept")
         for order, text in late.items():
@@ -72,6 +74,26 @@ def print_plan_tables(console: Console, data: DayData, plan: DayPlan) -> None:
         for line in plan.unplanned:
             unplanned_table.add_row(line.order, line.reason, line.remedy)
         console.print(unplanned_table)
+
+
+def _driver_time_text(data: DayData, plan: DayPlan) -> str:
+    """Return what the driver's time goes to; all but waiting and driving is needed by any plan that
+    serves the same orders by drone.
+    """
+    truck, order_by_id = data.day.truck, {order.id: order for order in data.orders}
+    served = [order_by_id[id_] for stop in plan.stops for id_ in stop.serves if id_ in order_by_id]
+    delivering_s = sum(
+        truck.deliver_s if order.service_s is None else order.service_s for order in served
+    )
+    spent_s = {
+        "launching": len(plan.sorties) * truck.launch_s,
+        "collecting": len(plan.sorties) * truck.recover_s,
+        "delivering": delivering_s,
+        "driving": sum(b.arrive_s - a.depart_s for a, b in pairwise(plan.stops)),
+    }
+    spent_s["waiting"] = max(0.0, plan.makespan_s - sum(spent_s.values()))
+    shares = (f"{name} {format_minutes_and_seconds(time_s)}" for name, time_s in spent_s.items())
+    return f"driver: {', '.join(shares)}"
 
 
 def late_orders_of_plan(data: DayData, plan: DayPlan) -> dict[str, str]:

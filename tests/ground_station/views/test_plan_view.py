@@ -49,6 +49,16 @@ def shown(plan: DayPlan, columns: int) -> list[str]:
     return out.getvalue().splitlines()
 
 
+def test_the_drivers_time_is_itemised_and_adds_up():
+    plan = plan_with(["depot", "stop-1", "depot-end"])
+    truck = read_day(HARBOUR).day.truck
+    (line,) = (line for line in shown(plan, 120) if line.startswith("driver:"))
+    minutes = [text.split()[-1].split(":") for text in line.removeprefix("driver:").split(",")]
+    times_s = [60 * int(m) + int(s) for m, s in minutes]
+    assert times_s[:4] == [2 * truck.launch_s, 2 * truck.recover_s, 0, 60]
+    assert sum(times_s) == plan.makespan_s
+
+
 def test_names_that_begin_alike_are_told_apart_on_eighty_columns():
     names = ["depot", "r2-stop-1", "r2-stop-10", "r2-depot-end"]
     lines = shown(plan_with(names), 80)
