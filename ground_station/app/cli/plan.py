@@ -13,6 +13,7 @@ from ground_station.app.options.desk_options import (
     PolicyName,
     StrictImport,
     read_day_and_warn,
+    with_start_if_windows,
 )
 from ground_station.app.options.program_options import require_options_not_given
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
-ONE_TRUCK = ("picture", "missions", "export", "forecast", "at")
+ONE_TRUCK = ("picture", "missions", "export", "forecast")
 """Options for the plan of one truck."""
 
 
@@ -130,12 +131,13 @@ def plan(
             trials=trials,
             seed=seed,
             strict=strict,
+            at=at,
         )
         return
     require_options_not_given(context, ("jobs", "cluster"), "expected with --trucks")
     if len(days) > 1:
         raise LeewayError("plan: expected one DAY, or --trucks for each")
-    data = _with_start_if_windows(_read_day_with_forecast(days[0], forecast, at, strict=strict), at)
+    data = with_start_if_windows(_read_day_with_forecast(days[0], forecast, at, strict=strict), at)
     enable_compile_cache_and_print_notice(console)
     day_plan = _run_planner(console, data, policy, trials, seed)
     print_plan_tables(console, data, day_plan)
@@ -169,23 +171,6 @@ def _read_day_with_forecast(
         raise LeewayError("--forecast: expected --at TIME, the departure of the truck")
     start_s = None if at is None else parse_utc_time_s(at)
     return read_day_and_warn(day, forecast=forecast, start_s=start_s, strict=strict)
-
-
-def _with_start_if_windows(data: "DayData", at: str | None) -> "DayData":
-    """Return the day with its start, if orders have delivery windows."""
-    from dataclasses import replace
-
-    from ground_station.adapters.clock import epoch_us
-    from ground_station.adapters.files.forecast_files import parse_utc_time_s
-    from ground_station.app.views.times import format_date_and_time
-
-    if all(order.window == (None, None) for order in data.orders):
-        if at is not None and data.forecast is None:
-            raise LeewayError("--at: expected a forecast file, or orders with delivery windows")
-        return data
-    start_us = epoch_us() if at is None else round(1e6 * parse_utc_time_s(at))
-    typer.echo(f"delivery windows: the truck leaves at {format_date_and_time(start_us)} (--at)")
-    return replace(data, start_us=start_us)
 
 
 def _run_planner(

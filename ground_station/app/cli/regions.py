@@ -1,12 +1,13 @@
 """`ground-station plan --trucks`: divide large days among their trucks and plan each region."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from companion.core.base.errors import LeewayError
-from ground_station.app.options.desk_options import read_day_and_warn
+from ground_station.app.options.desk_options import read_day_and_warn, with_start_if_windows
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,6 +37,7 @@ def divide_and_plan_days(
     trials: int | None,
     seed: int,
     strict: bool,
+    at: str | None,
 ) -> None:
     """Divide `days` among `trucks` of each, write the regions into `out` and plan each one.
 
@@ -52,8 +54,9 @@ def divide_and_plan_days(
         raise LeewayError(f"--trucks: {len(trucks)} for {len(days)} days: expected one for each")
     paths = [resolve_day_file_path(day) for day in days]
     data = [read_day_and_warn(str(path), strict=strict) for path in paths]
-    if any(order.window != (None, None) for one in data for order in one.orders):
-        console.print("delivery windows: not planned with --trucks; dispatch waits for their start")
+    timed = (one for one in data if any(order.window != (None, None) for order in one.orders))
+    start_us = with_start_if_windows(next(timed, data[0]), at).start_us
+    data = [replace(one, start_us=start_us) for one in data]
     regions = divide_days_among_trucks(data, trucks)
     out.mkdir(parents=True, exist_ok=True)
     source = [path for path, count in zip(paths, trucks, strict=True) for _ in range(count)]
@@ -61,7 +64,10 @@ def divide_and_plan_days(
         write_region_day_and_orders(out, region, path)
         for region, path in zip(regions, source, strict=True)
     ]
-    work = [PlanTask(str(file.resolve()), policy.value, trials, seed) for file in files]
+    work = [
+        PlanTask(str(file.resolve()), policy.value, trials, seed, region.data.start_us)
+        for file, region in zip(files, regions, strict=True)
+    ]
     results = _plan_regions_with_progress(console, regions, work, workers)
     _print_regions(console, regions, results)
     lost = [one for one in results if one.plan is None]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,7 +17,7 @@ from ground_station.app.options.program_options import (
     current_group_option_values,
     names_of_typed_options,
 )
-from ground_station.app.views.times import format_time_of_day
+from ground_station.app.views.times import format_date_and_time, format_time_of_day
 
 if TYPE_CHECKING:
     from companion.fleet.membership import JoinOptions
@@ -348,3 +348,16 @@ def resolve_operator(
     if refusal or trust.own_roster_entry is None:
         raise LeewayError(refusal)
     return member_operator(trust.name, trust.own_roster_entry.role, user)
+
+
+def with_start_if_windows(data: "DayData", at: str | None) -> "DayData":
+    """Return the day with its start, if orders have delivery windows."""
+    from ground_station.adapters.files.forecast_files import parse_utc_time_s
+
+    if all(order.window == (None, None) for order in data.orders):
+        if at is not None and data.forecast is None:
+            raise LeewayError("--at: expected a forecast file, or orders with delivery windows")
+        return data
+    start_us = epoch_us() if at is None else round(1e6 * parse_utc_time_s(at))
+    typer.echo(f"delivery windows: the truck leaves at {format_date_and_time(start_us)} (--at)")
+    return replace(data, start_us=start_us)

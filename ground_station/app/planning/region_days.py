@@ -71,6 +71,8 @@ class PlanTask(msgspec.Struct, frozen=True):
     policy: Literal["search", "dynamic"]
     trials: int | None
     seed: int
+    start_us: int | None = None
+    """Departure of the truck, for delivery windows."""
 
 
 def divide_days_among_trucks(
@@ -298,7 +300,7 @@ def plan_region_and_measure_cpu_time(plan_task: PlanTask) -> tuple[DayPlan, floa
     from ground_station.core.planning.day_planner import PlanParams, plan_day
     from ground_station.core.schema.day_state import initial_state
 
-    data = read_day(Path(plan_task.path))
+    data = replace(read_day(Path(plan_task.path)), start_us=plan_task.start_us)
     sample_data = replace(data, orders=data.orders[:3])
     plan_day(sample_data, initial_state(sample_data), PlanParams(trials=20))  # loads compiled code
     start_s = process_cpu_time_s()

@@ -1,5 +1,6 @@
 """`ground-station plan --trucks`: regions and plans independent of --jobs."""
 
+import shutil
 from collections import Counter
 from pathlib import Path
 
@@ -44,6 +45,28 @@ def test_plans_are_the_same_on_one_process_and_on_two_and_bring_every_order_once
     assert set(brought.values()) == {1}
 
 
+def test_windows_are_planned_from_the_departure_of_the_trucks(tmp_path: Path) -> None:
+    for name in ("days", "sites"):
+        shutil.copytree(Path(__file__).parents[3] / "params" / name, tmp_path / name)
+    file = tmp_path / "days" / "town_orders.csv"
+    header, *rows = file.read_text(encoding="utf-8").splitlines()
+    opens = [f"{row},2026-07-01T15:30Z/2026-07-01T18:00Z" for row in rows[:3]]
+    lines = [f"{header},window", *opens, *(f"{row}," for row in rows[3:])]
+    file.write_text("\n".join(lines), encoding="utf-8")
+    day, out = tmp_path / "days" / "town.toml", tmp_path / "out"
+    words = ["plan", str(day), "--trucks", "2", "--out", str(out)]
+    at = ["--trials", "40", "--jobs", "1", "--at", "2026-07-01T15:00Z"]
+    done = CliRunner().invoke(app, [*words, *at])
+    assert done.exit_code == 0, done.output
+    times_s: dict[str, float] = {}
+    for path in out.glob("*_plan.json"):
+        plan = read_day_plan(path)
+        times_s |= {one.order: one.drop_s for one in plan.sorties}
+        times_s |= {id_: stop.depart_s for stop in plan.stops for id_ in stop.serves}
+    assert len(times_s) == 40
+    assert min(times_s[row.split(",")[0]] for row in rows[:3]) >= 1799.0
+
+
 def test_a_planner_that_is_killed_costs_its_region_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -74,7 +97,8 @@ def test_trucks_are_stated_for_each_day(tmp_path: Path) -> None:
     ("words", "refusal"),
     [
         ("town --trucks 2", "--trucks: expected --out FOLDER"),
-        ("town --trucks 2 --out x --at 2026-07-01T15:10Z", "--at: not with --trucks"),
+        ("town --trucks 2 --out x --picture p.png", "--picture: not with --trucks"),
+        ("town --trucks 2 --out x --at 2026-07-01T15:10Z", "or orders with delivery windows"),
         ("town --jobs 2", "--jobs: expected with --trucks"),
         ("town harbour", "expected one DAY, or --trucks for each"),
     ],
