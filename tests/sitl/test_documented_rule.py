@@ -11,6 +11,7 @@ from sim_bridge import fly
 
 ROOT = Path(__file__).resolve().parents[2]
 MAX_LOSS, MIN_SUCCESS = 0.01, 0.05
+END_OF_OUTBOUND = ("turn_back", "divert", "delivered", "release_unconfirmed")
 FLY_ON = ("go", "onward", "onward_again", "descend")
 
 
@@ -38,9 +39,8 @@ def mismatches(result: dict[str, Any], home: str = "depot") -> list[str]:
     """Return decisions that the rule does not predict, and predictions without a decision."""
     found: list[str] = []
     decisions = [row for row in result["decisions"] if row["p_home"] is not None]
-    ends = [row for row in decisions if row["kind"] in ("turn_back", "divert", "delivered")]
     start_s = next((row["t_s"] for row in decisions if row["kind"] == "go"), np.inf)
-    outbound_s = ends[0]["t_s"] if ends else np.inf
+    outbound_s = next((r["t_s"] for r in decisions if r["kind"] in END_OF_OUTBOUND), np.inf)
     for row in decisions:
         is_outbound = row["t_s"] <= outbound_s
         at = f"{row['t_s']} {row['kind']}: {row['reason']}"
