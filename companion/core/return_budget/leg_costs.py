@@ -266,12 +266,12 @@ class LegTable:
     ) -> None:
         at_leg = _interpolation_weights_at(midpoint_times_s)
         mean = forecast.mean_to_ne_mps.mean(axis=0)
-        ways = [
+        rows = [
             [row for span in (*self._stage[:point], routes[0]) for row in _row_range(span)]
             for point, routes in enumerate(self._routes)
         ]
         legs = self._route_energy, self._compiled
-        draws = sampler.draw(forecast, _need_spreads(*legs, mean, at_leg, ways, self._other_std_wh))
+        draws = sampler.draw(forecast, _need_spreads(*legs, mean, at_leg, rows, self._other_std_wh))
         wind = at_leg @ draws.path_ne_mps + draws.estimate_error_ne_mps
         self.weights = draws.weights
         costs = self._route_energy.leg_costs_leg_major(self._compiled, wind[0], wind[1])
@@ -371,17 +371,17 @@ def _need_spreads(
     legs: LegBatch,
     mean_wind_to_ne_mps: Floats,
     node_weights_by_leg: Floats,
-    ways_home: list[list[int]],
+    rows_by_route: list[list[int]],
     other_std_wh: Callable[[Floats], Floats],
 ) -> list[NeedSpread]:
-    """Return the spread of the need of each way home (rows of legs), at the mean wind."""
+    """Return the spread of the need of each return route (rows of legs), at the mean wind."""
     gradient = route_energy.leg_energy_gradients_wh_per_mps(legs, mean_wind_to_ne_mps)
     energy_wh = route_energy.leg_costs_wind_major(legs, mean_wind_to_ne_mps[None, :]).energy_wh[0]
     return [
         NeedSpread(
             node_weights_by_leg[rows].T @ gradient[rows], float(other_std_wh(energy_wh[rows].sum()))
         )
-        for rows in ways_home
+        for rows in rows_by_route
     ]
 
 

@@ -13,7 +13,7 @@ from companion.core.wind.forecast import WindForecast, student_t_scale_factors
 
 _COMPONENTS = 5  # principal components of the wind's random walk per axis: over 99 % of variance
 _WIND_DIMENSIONS = 2 * _COMPONENTS + 2  # random walk, lasting error of the estimate
-# Sequences of the resistance and of the way home, independent of the others.
+# Sequences of the resistance and of the return route, independent of the others.
 _GOLDEN_STEP, _SILVER_STEP = 0.5 * (np.sqrt(5.0) - 1.0), np.sqrt(2.0) - 1.0
 _NODES_EACH_SIDE, _NODE_STEP = 4, 1.0  # quadrature of the model error
 _SHIFT = 2.8  # [est] of the draws towards a loss, in standard deviations of the need
@@ -22,7 +22,7 @@ _SHIFTED_FRAC = 1.0 / 3.0  # [est] of the draws
 
 @dataclass(frozen=True, slots=True)
 class NeedSpread:
-    """How the need of one way home varies, for the choice of the draws.
+    """Spread of the need by one return route, for the choice of the draws.
 
     `gradient_wh_per_mps` (nodes, 2): by the wind at each horizon. `other_std_wh`: of what does not
     depend on the wind.
@@ -48,8 +48,8 @@ class Draws:
 class PathSampler:
     """`sample_count` points of low discrepancy (Roberts' R-sequence) and their importance weights.
 
-    A loss is rare and comes from winds that raise the need of some way home. A third of the draws
-    is shifted towards these winds, in equal parts for each way home, and all are weighted by the
+    A loss is rare and comes from winds that raise the need of a return route. A third of the draws
+    is shifted towards these winds, in equal parts for each route, and all are weighted by the
     ratio of the densities (importance sampling from a mixture, with the variables themselves as
     control variates; Owen, *Monte Carlo theory, methods and examples*, 9.11 and 8.9). The model
     error is integrated over nodes.
@@ -69,7 +69,7 @@ class PathSampler:
         self.count = sample_count
         self._points: Floats = points[:, 1:].T.copy()  # the last one: scale of the tails
         self._shifted_frac = shifted / sample_count
-        self._way_frac: Floats = np.arange(1.0, shifted + 1.0) * _SILVER_STEP % 1.0
+        self._route_frac: Floats = np.arange(1.0, shifted + 1.0) * _SILVER_STEP % 1.0
         self._tails: dict[float, _TailScale] = {}
         self.model_error, self.model_error_weights = _shifted_nodes(normal_cdf(points[:, 0]))
         golden = (0.5 + np.arange(1.0, sample_count + 1.0) * _GOLDEN_STEP) % 1.0
@@ -105,10 +105,10 @@ class PathSampler:
     def _shifted_points(self, shifts: Floats) -> tuple[Floats, Floats]:
         """Return the points (dimensions, K), shifted by (J, dimensions), and their weights."""
         points = self._points.copy()
-        shifted = points[:, self.count - self._way_frac.size :]
-        way = np.floor(self._way_frac * len(shifts)).astype(np.int64)
+        shifted = points[:, self.count - self._route_frac.size :]
+        route = np.floor(self._route_frac * len(shifts)).astype(np.int64)
         for number, shift in enumerate(shifts):
-            shifted[:, way == number] = _shifted_in_strata(shifted[:, way == number], shift)
+            shifted[:, route == number] = _shifted_in_strata(shifted[:, route == number], shift)
         log_ratio = shifts @ points - 0.5 * (shifts**2).sum(axis=1)[:, None]
         ratio = np.exp(log_ratio).mean(axis=0)
         weights = 1.0 / (1.0 - self._shifted_frac + self._shifted_frac * ratio)

@@ -5,13 +5,14 @@ different command ignores it and starts from the beginning.
 """
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Generic, TypeVar
 
 import msgspec
 
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
@@ -59,6 +60,16 @@ class ProgressLog(Generic[Result]):
             for index, result in finished_results.items():
                 append_result(index, result)
             yield append_result
+
+    def results(self, items: Sequence[Item], compute: Callable[[Item], Result]) -> Iterator[Result]:
+        """Yield the result of each item, read or computed and appended."""
+        done = self.read_finished_results()
+        with self.rewrite_and_open_writer(done) as keep:
+            for index, item in enumerate(items):
+                if index not in done:
+                    done[index] = compute(item)
+                    keep(index, done[index])
+                yield done[index]
 
     def remove_file(self) -> None:
         if self.path is not None:

@@ -66,17 +66,14 @@ def plan_or_load_instance_rows(
     progress_log: ProgressLog[Row],
 ) -> Iterator[Row]:
     """Return the rows in order, read from the journal or planned."""
-    done = progress_log.read_finished_results()
-    with progress_log.rewrite_and_open_writer(done) as keep:
-        for number, instance in enumerate(instances):
-            if number not in done:
-                reference = reference_costs.get(reference_key(instance))
-                seconds = params.seconds
-                if params.icp_time_factor is not None and reference is not None:
-                    seconds = params.icp_time_factor * reference.icp_s
-                done[number] = plan_and_check_instance(instance, seconds, params.seed)
-                keep(number, done[number])
-            yield done[number]
+
+    def plan_row(instance: TspdInstance) -> Row:
+        reference, seconds = reference_costs.get(reference_key(instance)), params.seconds
+        if params.icp_time_factor is not None and reference is not None:
+            seconds = params.icp_time_factor * reference.icp_s
+        return plan_and_check_instance(instance, seconds, params.seed)
+
+    return progress_log.results(instances, plan_row)
 
 
 def plan_and_check_instance(instance: TspdInstance, cpu_budget_s: float | None, seed: int) -> Row:

@@ -36,17 +36,14 @@ def plan_or_load_rows(
     progress_log: ProgressLog[Row],
 ) -> Iterator[Row]:
     """Return the rows in order, read from the journal or planned."""
-    done = progress_log.read_finished_results()
-    with progress_log.rewrite_and_open_writer(done) as keep:
-        for number, instance in enumerate(instances):
-            if number not in done:
-                done[number] = _plan_and_check(instance, seconds, seed)
-                done[number]["best_known_s"] = best_known_s.get(instance.name)
-                keep(number, done[number])
-            yield done[number]
+    return progress_log.results(
+        instances, lambda one: _plan_and_check(one, best_known_s.get(one.name), seconds, seed)
+    )
 
 
-def _plan_and_check(instance: TsptwInstance, seconds: float | None, seed: int) -> Row:
+def _plan_and_check(
+    instance: TsptwInstance, best_known_s: float | None, seconds: float | None, seed: int
+) -> Row:
     problem = instance.problem()
     rng = np.random.default_rng(seed)
     schedule, cpu_s = plan_and_measure_cpu_time(problem, rng, "search", seconds)
@@ -64,6 +61,7 @@ def _plan_and_check(instance: TsptwInstance, seconds: float | None, seed: int) -
         "late_s": round(late_s, 3),
         "seconds": cpu_s,
         "tour": customers,
+        "best_known_s": best_known_s,
     }
 
 

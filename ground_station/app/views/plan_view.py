@@ -77,9 +77,7 @@ def print_plan_tables(console: Console, data: DayData, plan: DayPlan) -> None:
 
 
 def _driver_time_text(data: DayData, plan: DayPlan) -> str:
-    """Return what the driver's time goes to; all but waiting and driving is needed by any plan that
-    serves the same orders by drone.
-    """
+    """Return the driver's time by task, with driving and waiting."""
     truck, order_by_id = data.day.truck, {order.id: order for order in data.orders}
     served = [order_by_id[id_] for stop in plan.stops for id_ in stop.serves if id_ in order_by_id]
     delivering_s = sum(

@@ -6,14 +6,13 @@ import numpy as np
 
 from companion.core.base.arrays import Floats
 from ground_station.core.truck_drones.problem import (
+    LATE_PRICE,
     DroneKind,
     LegTables,
     TimedOrders,
     TruckAndDrones,
 )
 
-LATE_PRICE = 3.0
-"""Of a unit of lateness, in units of makespan, in the search: as for a day's orders."""
 _SERVICE_S = 1e-6
 """The driver's time at a customer: the instances contain it in their travel times."""
 

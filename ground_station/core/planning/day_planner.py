@@ -248,21 +248,21 @@ class _DayPlanner:
             elif cooling.start == "offered":
                 start = start_plan
             search = PlanSearch(problem, rng, params, start)
-            if search.best_makespan_s == math.inf:  # the offered plan has no feasible layer
+            if search.best_cost_s == math.inf:  # the offered plan has no feasible layer
                 search = PlanSearch(problem, rng, params)
             share = (progress_range_frac[1] - progress_range_frac[0]) * cooling.share
             report = partial(self._report_progress, search, done, share)
             search.run_cooling(max(1, int(trials * cooling.share)), cooling.begin_frac, report)
             done += share
             if not any((search.best == plan).all() for _, plan in found):
-                found.append((search.best_makespan_s, search.best))
+                found.append((search.best_cost_s, search.best))
         found.sort(key=lambda one: one[0])
         if not found:
             return [PlanSearch(problem, rng, SearchParams()).best]
         return [plan for _, plan in found]
 
     def _report_progress(self, search: PlanSearch, first: float, share: float, done: float) -> None:
-        self._on_progress(first + share * done, search.best_makespan_s)
+        self._on_progress(first + share * done, search.best_cost_s)
 
     def _build_forward_pass(self, nodes: DayProblem) -> ForwardPass:
         stops = {stop.id: stop for stop in self._start.stops}

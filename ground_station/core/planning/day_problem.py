@@ -38,6 +38,7 @@ from ground_station.core.schema.day import Drone, Truck
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.orders import Order, Service, order_location
 from ground_station.core.truck_drones.problem import (
+    LATE_PRICE,
     DroneKind,
     LayeredAirspace,
     LegTables,
@@ -60,8 +61,6 @@ PRICED_LAYER = 2
 ANY_TIME_S = (-math.inf, math.inf)
 URGENT_WEIGHT = 10.0
 """[est] Weight of an urgent order's lateness."""
-LATE_PRICE = 3.0
-"""[est] Of a second of lateness, in seconds of makespan, in the search."""
 
 
 @dataclass(frozen=True, slots=True)

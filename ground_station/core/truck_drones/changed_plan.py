@@ -1,4 +1,4 @@
-"""Incremental makespan of a plan that differs little from a simulated plan.
+"""Incremental cost of a plan that differs little from a simulated plan.
 
 The pass along the route begins where the first change takes effect, and ends where the truck
 arrives in the old plan's state except for a time shift: from there the old plan's times hold,
@@ -57,7 +57,7 @@ UNCHANGED = (0, 0, 0.0)
 @compiled_inner
 def simulate_and_store(tables, plan, work_arrays):
     """Simulate a plan and store the state for `incremental_cost_s` in `work_arrays`; return the
-    makespan.
+    cost.
     """
     cost_s = simulate_cost_s(tables, plan, work_arrays, INFEASIBLE_S)
     _store_restart_and_span_rows(plan, work_arrays.whole)
@@ -291,7 +291,7 @@ def _copy_deliveries_from_base(change, first_index):
 def incremental_cost_s(change, cost_limit_s):
     """Simulate the changed plan, starting from the simulation of the plan.
 
-    Returns the makespan, and for `commit_changed_simulation` the simulated part: its first
+    Returns the cost, and for `commit_changed_simulation` the simulated part: its first
     position, the one after the last, and the time shift there. The positions are 0 if nothing has
     changed.
     """

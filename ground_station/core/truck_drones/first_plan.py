@@ -39,19 +39,19 @@ def build_first_plan(problem: TruckAndDrones, tables: ProblemTables, work: WorkA
             )
             if cost_s == INFEASIBLE_S:
                 raise LeewayError(f"customer {customer}: no drone reaches it from any stop")
-    makespan_s = simulate_cost_s(tables, plan, work, INFEASIBLE_S)
-    replace_stops_by_sorties(tables, work, plan, position, makespan_s)
+    plan_cost_s = simulate_cost_s(tables, plan, work, INFEASIBLE_S)
+    replace_stops_by_sorties(tables, work, plan, position, plan_cost_s)
     return plan
 
 
 @compiled
 def assign_best_sortie(
-    tables, work_arrays, plan, route_index_by_node, customer, makespan_limit_s, max_offset
+    tables, work_arrays, plan, route_index_by_node, customer, cost_limit_s, max_offset
 ):
-    """Assign an unserved customer to the sortie with the least makespan; return the makespan.
+    """Assign an unserved customer to the sortie with the least cost; return the cost.
 
-    Returns inf, and the customer stays unserved, if no sortie gives a makespan below
-    `makespan_limit_s`. Launch and recovery are at most `max_offset` route positions from the
+    Returns inf, and the customer stays unserved, if no sortie gives a cost below
+    `cost_limit_s`. Launch and recovery are at most `max_offset` route positions from the
     nearest stop.
     """
     last = route_index_by_node[plan.shape[1] - 1]
@@ -62,7 +62,7 @@ def assign_best_sortie(
             < tables.travel_s[plan[ROUTE, at], customer]
         ):
             at = stop
-    best_s, best_launch, best_rendezvous, best_kind = makespan_limit_s, NOWHERE, NOWHERE, NOWHERE
+    best_s, best_launch, best_rendezvous, best_kind = cost_limit_s, NOWHERE, NOWHERE, NOWHERE
     plan[ORDER, customer] = 0
     for kind in range(tables.drone_can.shape[0]):
         if not tables.drone_can[kind, customer]:
@@ -84,7 +84,7 @@ def assign_best_sortie(
 
 
 @compiled_with_arrays
-def replace_stops_by_sorties(tables, work_arrays, plan, route_index_by_node, makespan_s):
+def replace_stops_by_sorties(tables, work_arrays, plan, route_index_by_node, plan_cost_s):
     """Replace each stop without launches and recoveries by a sortie if that saves time."""
     used_by_sorties = np.zeros(plan.shape[1], dtype=np.bool_)
     for customer in range(1, plan.shape[1] - 1):
@@ -100,13 +100,13 @@ def replace_stops_by_sorties(tables, work_arrays, plan, route_index_by_node, mak
         store_route_index_by_node(plan, route_index_by_node)
         route_index_by_node[customer] = NOWHERE
         cost_s = assign_best_sortie(
-            tables, work_arrays, plan, route_index_by_node, customer, makespan_s - 1e-6, 2
+            tables, work_arrays, plan, route_index_by_node, customer, plan_cost_s - 1e-6, 2
         )
         if cost_s == INFEASIBLE_S:
             plan[KIND, customer] = NOWHERE
             insert_stop(plan, route_index_by_node, customer, at)
             continue
-        makespan_s = cost_s
+        plan_cost_s = cost_s
         used_by_sorties[plan[LAUNCH, customer]] = True
         used_by_sorties[plan[RENDEZVOUS, customer]] = True
-    return makespan_s
+    return plan_cost_s

@@ -71,6 +71,10 @@ class LayeredAirspace:
     corners_ne_m: Floats
 
 
+LATE_PRICE = 3.0
+"""[est] Of a second of lateness, in seconds of makespan, in the search."""
+
+
 @dataclass(frozen=True, slots=True)
 class TimedOrders:
     """Delivery windows and priorities by node, from the truck's departure.

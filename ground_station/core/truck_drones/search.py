@@ -153,7 +153,7 @@ def anneal_plan_in_place(
     """Try changes while the temperature falls from `start_temperature_s` to `end_temperature_s`, s
     of makespan; a rebuild counts as one trial per simulated plan.
 
-    Changes `change`, `best` and `route_index_by_node`. A change is accepted if the makespan plus a
+    Changes `change`, `best` and `route_index_by_node`. A change is accepted if the cost plus a
     small share of the drones' time away rises by at most temperature x Exp(1), so bad simulations
     stop early. With priced layers only small moves are made.
     """
@@ -179,39 +179,37 @@ def anneal_plan_in_place(
         _copy_array(plan, new_plan)
         for node in range(len(route_index_by_node)):
             new_route_index[node] = route_index_by_node[node]
-        makespan_limit_s = costs_s[0] + allowed_s + price * min(now_away_s, MAX_SAVED_TIME_AWAY_S)
+        cost_limit_s = costs_s[0] + allowed_s + price * min(now_away_s, MAX_SAVED_TIME_AWAY_S)
         if not (whole_only or tables.air.priced) and draw_uniform(stream) < rebuild_frac:
-            changed, evaluated = try_random_removal_and_reinsertion(
-                change, makespan_limit_s, insertion
-            )
+            changed, evaluated = try_random_removal_and_reinsertion(change, cost_limit_s, insertion)
             done += evaluated
         else:
             changed = try_random_move(tables, new_plan, new_route_index, stream)
         if not changed:
             continue
         if whole_only:
-            makespan_s = simulate_cost_s(tables, new_plan, new_work, makespan_limit_s)
+            plan_cost_s = simulate_cost_s(tables, new_plan, new_work, cost_limit_s)
         else:
-            makespan_s, simulated = incremental_cost_s(change, makespan_limit_s)
+            plan_cost_s, simulated = incremental_cost_s(change, cost_limit_s)
             if simulated[1] == 0:
                 continue
-        if makespan_s > makespan_limit_s:
+        if plan_cost_s > cost_limit_s:
             continue
         if not whole_only:
             new_away_s = changed_drone_time_away_s(change, simulated)
-            if makespan_s - costs_s[0] + price * (new_away_s - now_away_s) > allowed_s:
+            if plan_cost_s - costs_s[0] + price * (new_away_s - now_away_s) > allowed_s:
                 continue
         _copy_array(new_plan, plan)
         store_route_index_by_node(plan, route_index_by_node)
         if not whole_only:
             commit_changed_simulation(change, simulated)
             now_away_s = new_away_s
-        costs_s[0] = makespan_s
-        if makespan_s < costs_s[1] - 1e-9:
+        costs_s[0] = plan_cost_s
+        if plan_cost_s < costs_s[1] - 1e-9:
             if not whole_only:
-                makespan_s = simulate_cost_s(tables, plan, new_work, INFEASIBLE_S)
-            if makespan_s < costs_s[1]:
-                costs_s[1] = makespan_s
+                plan_cost_s = simulate_cost_s(tables, plan, new_work, INFEASIBLE_S)
+            if plan_cost_s < costs_s[1]:
+                costs_s[1] = plan_cost_s
                 _copy_array(plan, best)
 
 
@@ -259,8 +257,8 @@ class PlanSearch(AnnealingSearch):
         self._start_plan: Plan | None = None
 
     @property
-    def best_makespan_s(self) -> float:
-        """Makespan of the best plan found."""
+    def best_cost_s(self) -> float:
+        """Cost of the best plan found: its makespan, and the price of late and urgent orders."""
         return float(self._change.costs_s[1])
 
     def run_trials(self, trials: int, schedule_from_frac: float, schedule_to_frac: float) -> None:
@@ -293,11 +291,11 @@ class PlanSearch(AnnealingSearch):
 
     def _simulate_and_keep_if_best(self, plan: Plan) -> float:
         change = self._change
-        makespan_s = simulate_cost_s(change.tables, plan, change.new_work, INFEASIBLE_S)
-        if makespan_s < self.best_makespan_s:
-            change.costs_s[1] = makespan_s
+        plan_cost_s = simulate_cost_s(change.tables, plan, change.new_work, INFEASIBLE_S)
+        if plan_cost_s < self.best_cost_s:
+            change.costs_s[1] = plan_cost_s
             self.best[:] = plan
-        return makespan_s
+        return plan_cost_s
 
     def _start_plan_of_cooling(self, cooling: Cooling) -> Plan:
         if cooling.start == "first":

@@ -1,6 +1,6 @@
 """Inserts an unserved customer at the best position found, by truck or by drone.
 
-The price of a position is the resulting makespan plus a small share of the drone's time away from
+The price of a position is the resulting cost plus a small share of the drone's time away from
 the truck: a drone that returns early can fly again.
 """
 
@@ -85,14 +85,14 @@ def undo_insert_stop(plan, route_index_by_node, route_index):
 
 
 @compiled_inner
-def _best_truck_route_index(change, customer, makespan_limit_s, params):
+def _best_truck_route_index(change, customer, cost_limit_s, params):
     """Return the best route position to serve this customer by truck (NOWHERE: none below
-    `makespan_limit_s`), the makespan, and the number of positions tried.
+    `cost_limit_s`), the cost, and the number of positions tried.
     """
     tables, plan, route_index_by_node = change.tables, change.new_plan, change.new_route_index
     near = tables.near
     last = route_index_by_node[plan.shape[1] - 1]
-    best_at, best_s, evaluated, stops = NOWHERE, makespan_limit_s, 0, 0
+    best_at, best_s, evaluated, stops = NOWHERE, cost_limit_s, 0, 0
     nearest = nearest_stop_route_index(tables, plan, route_index_by_node, customer)
     for number in range(near.shape[1] + 1):
         if number < near.shape[1]:
@@ -111,28 +111,26 @@ def _best_truck_route_index(change, customer, makespan_limit_s, params):
                 continue
             insert_stop(plan, route_index_by_node, customer, to)
             evaluated += 1
-            makespan_s, simulated = incremental_cost_s(change, best_s)
+            plan_cost_s, simulated = incremental_cost_s(change, best_s)
             undo_insert_stop(plan, route_index_by_node, to)
-            if simulated[1] > 0 and makespan_s < best_s:
-                best_at, best_s = to, makespan_s
+            if simulated[1] > 0 and plan_cost_s < best_s:
+                best_at, best_s = to, plan_cost_s
         if stops >= params.near_stops:
             break
     return best_at, best_s, evaluated
 
 
 @compiled_inner
-def insert_customer_at_best_position(change, customer, makespan_limit_s, params):
-    """Insert this customer into the changed plan; return the makespan (inf, without a change, if no
-    candidate is below `makespan_limit_s`) and the number of candidates tried.
+def insert_customer_at_best_position(change, customer, cost_limit_s, params):
+    """Insert this customer into the changed plan; return the cost (inf, without a change, if no
+    candidate is below `cost_limit_s`) and the number of candidates tried.
     """
     tables, plan, route_index_by_node = change.tables, change.new_plan, change.new_route_index
     times_s, scratch = change.new_work.times_s, change.new_work.scratch
-    best_s, evaluated, best_at = makespan_limit_s, 0, NOWHERE
+    best_s, evaluated, best_at = cost_limit_s, 0, NOWHERE
     if tables.truck_can[customer]:
-        best_at, best_s, evaluated = _best_truck_route_index(
-            change, customer, makespan_limit_s, params
-        )
-    # Cost of a candidate: makespan plus share of drone time.
+        best_at, best_s, evaluated = _best_truck_route_index(change, customer, cost_limit_s, params)
+    # Price of a candidate: cost plus share of drone time.
     best_cost_s = best_s if best_at >= 0 else INFEASIBLE_S
     best_kind, best_launch, best_rendezvous = NOWHERE, NOWHERE, NOWHERE
     end = plan.shape[1] - 1
@@ -165,15 +163,13 @@ def insert_customer_at_best_position(change, customer, makespan_limit_s, params)
                     continue
                 plan[LAUNCH, customer], plan[RENDEZVOUS, customer] = start, stop
                 evaluated += 1
-                makespan_s, simulated = incremental_cost_s(
-                    change, min(makespan_limit_s, best_cost_s)
-                )
+                plan_cost_s, simulated = incremental_cost_s(change, min(cost_limit_s, best_cost_s))
                 if simulated[1] == 0:
                     continue
                 away_s = times_s[RECOVERED, customer] - times_s[LAUNCHED, customer]
-                if makespan_s + params.air_price * away_s < best_cost_s:
-                    best_cost_s = makespan_s + params.air_price * away_s
-                    best_s = makespan_s
+                if plan_cost_s + params.air_price * away_s < best_cost_s:
+                    best_cost_s = plan_cost_s + params.air_price * away_s
+                    best_s = plan_cost_s
                     best_kind, best_launch, best_rendezvous = kind, start, stop
     plan[LAUNCH, customer], plan[RENDEZVOUS, customer] = best_launch, best_rendezvous
     plan[KIND, customer] = best_kind

@@ -46,9 +46,9 @@ def remove_customer_and_dependent_sorties(
 
 
 @compiled_inner
-def try_random_removal_and_reinsertion(change, makespan_limit_s, params):
-    """Change the copy of the plan; return whether all customers are reinserted with a makespan
-    below `makespan_limit_s`, and the number of simulated plans.
+def try_random_removal_and_reinsertion(change, cost_limit_s, params):
+    """Change the copy of the plan; return whether all customers are reinserted with a cost
+    below `cost_limit_s`, and the number of simulated plans.
     """
     plan, route_index_by_node, stream = change.new_plan, change.new_route_index, change.stream
     end = plan.shape[1] - 1
@@ -72,10 +72,10 @@ def try_random_removal_and_reinsertion(change, makespan_limit_s, params):
         )
     evaluated_sum = 0
     for number in range(count):
-        makespan_s, evaluated = insert_customer_at_best_position(
-            change, scratch[REMOVED, number], makespan_limit_s, params
+        plan_cost_s, evaluated = insert_customer_at_best_position(
+            change, scratch[REMOVED, number], cost_limit_s, params
         )
         evaluated_sum += evaluated
-        if makespan_s == INFEASIBLE_S:
+        if plan_cost_s == INFEASIBLE_S:
             return False, evaluated_sum
     return True, evaluated_sum
